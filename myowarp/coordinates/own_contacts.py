@@ -22,7 +22,8 @@ from myowarp.definitions.forces import Forces
 from myowarp.engine.stages.arrays import InertiaRows, filled
 from myowarp.kernels.batching import batched
 from myowarp.kernels.launch import launch
-from myowarp.laws.forces.contact import Contact, contact_wrench, overlap_of
+from myowarp.laws.forces.bushing import BodyMotion
+from myowarp.laws.forces.contact import Contact, contact_wrench
 from myowarp.osim.bundle.contacts import DocumentContacts, contact_table
 
 
@@ -60,6 +61,26 @@ class Chains:
     parent: wp.array[int]
 
 
+@wp.func
+def moving(
+    worldid: int,
+    body: int,
+    root: int,
+    xpos: wp.array2d[wp.vec3],
+    xmat: wp.array2d[wp.mat33],
+    subtree_com: wp.array2d[wp.vec3],
+    cvel: wp.array2d[wp.spatial_vector],
+) -> BodyMotion:
+    """Return where a body is and how it moves, by the engine's velocity of it."""
+    found = BodyMotion()
+    found.rotation = wp.mat33d(xmat[worldid, body])
+    found.origin = wp.vec3d(xpos[worldid, body])
+    found.turn = wp.vec3d(wp.spatial_top(cvel[worldid, body]))
+    com = wp.vec3d(subtree_com[worldid, root])
+    found.shift = wp.vec3d(wp.spatial_bottom(cvel[worldid, body])) - wp.cross(found.turn, com)
+    return found
+
+
 @wp.kernel(enable_backward=False)
 def touch_surfaces(
     # Params:
@@ -76,23 +97,13 @@ def touch_surfaces(
     """Force, location and slopes of a contact."""
     worldid, number = wp.tid()
     contact = contacts[number]
-    one, two = contact.first, contact.second
-    first, second = wp.mat33d(xmat_in[worldid, one.body]), wp.mat33d(xmat_in[worldid, two.body])
-    overlap = overlap_of(
-        contact,
-        first * one.rotation,
-        wp.vec3d(xpos_in[worldid, one.body]) + first * one.origin,
-        second * two.rotation,
-        wp.vec3d(xpos_in[worldid, two.body]) + second * two.origin,
+    first = moving(
+        worldid, contact.first.body, chains.root[number, 0], xpos_in, xmat_in, subtree_com_in, cvel_in
     )
-    turn, shift = wp.vec3d(), wp.vec3d()
-    for side in range(2):
-        body, sign = wp.where(side == 0, one.body, two.body), wp.float64(1 - 2 * side)
-        spin = wp.vec3d(wp.spatial_top(cvel_in[worldid, body]))
-        com = wp.vec3d(subtree_com_in[worldid, chains.root[number, side]])
-        turn += sign * spin
-        shift += sign * (wp.vec3d(wp.spatial_bottom(cvel_in[worldid, body])) - wp.cross(spin, com))
-    found = contact_wrench(contact, overlap, turn, shift)
+    second = moving(
+        worldid, contact.second.body, chains.root[number, 1], xpos_in, xmat_in, subtree_com_in, cvel_in
+    )
+    found = contact_wrench(contact, first, second)
     pushes.force[worldid, number] = wp.vec3(found.touch.force)
     pushes.location[worldid, number] = wp.vec3(found.location)
     pushes.normal[worldid, number] = wp.vec3(found.normal)
@@ -180,10 +191,12 @@ class OwnContacts:
         """Write tables on the current Warp device."""
         self.said, self.forces = said, forces
         self.contacts = contact_table(said.pairs, lambda name: int(host.body(name).id))
-        bodies = [[host.body(s.body).id for s in (pair.first, pair.second)] for pair in said.pairs]
+        bodies = np.array([[host.body(s.body).id for s in (pair.first, pair.second)] for pair in said.pairs])
+        movers = host.body_weldid[bodies]
         chains = self.chains = Chains()
-        chains.last = wp.array([[_last_dof(host, body) for body in two] for two in bodies], dtype=int)
-        chains.root = wp.array(host.body_rootid[np.array(bodies)], dtype=int)
+        last = host.body_dofadr[movers] + host.body_dofnum[movers] - 1
+        chains.last = wp.array(np.maximum(last, -1), dtype=int)
+        chains.root = wp.array(host.body_rootid[bodies], dtype=int)
         chains.parent = wp.array(host.dof_parentid, dtype=int)
         shape, self.pushes = (data.nworld, len(bodies)), Pushes()
         for name, kind in (("force", wp.vec3), ("location", wp.vec3), ("normal", wp.vec3),
@@ -206,13 +219,6 @@ class OwnContacts:
         """Add h J' D J to `M`; see `Forces`."""
         inertia = filled(InertiaRows, model)
         launch(damp_bodies, data.nworld, self, model.opt, data, inertia=inertia, directions=directions)
-
-
-def _last_dof(host: mujoco.MjModel, body: int) -> int:
-    """Return the last dof that moves a body, -1 for none."""
-    while body and not host.body_dofnum[body]:
-        body = host.body_parentid[body]
-    return int(host.body_dofadr[body] + host.body_dofnum[body] - 1) if body else -1
 
 
 def acting_on(host: mujoco.MjModel, model: mjw.Model, data: mjw.Data) -> Forces | None:

@@ -6,6 +6,7 @@ Source: Simbody, classes HuntCrossleyForce and SmoothSphereHalfSpaceForce.
 
 import warp as wp
 
+from myowarp.laws.forces.bushing import BodyMotion
 from myowarp.laws.forces.contact_shapes import (
     ELLIPSOID,
     HALF_SPACE,
@@ -64,15 +65,11 @@ class Wrench:
 
 
 @wp.func
-def overlap_of(
-    contact: Contact,
-    first_axes: wp.mat33d,
-    first_origin: wp.vec3d,
-    second_axes: wp.mat33d,
-    second_origin: wp.vec3d,
-) -> Overlap:
-    """Return the overlap of two surfaces; of where they are in ground."""
+def overlap_of(contact: Contact, first: BodyMotion, second: BodyMotion) -> Overlap:
+    """Return the overlap of two surfaces; of where their bodies are."""
     one, two = contact.first, contact.second
+    first_axes, first_origin = first.rotation * one.rotation, first.origin + first.rotation * one.origin
+    second_axes, second_origin = second.rotation * two.rotation, second.origin + second.rotation * two.origin
     if one.kind == HALF_SPACE:
         if two.kind == ELLIPSOID:
             return ellipsoid_in_half_space(first_axes, first_origin, second_axes, second_origin, two.size)
@@ -83,16 +80,13 @@ def overlap_of(
 
 
 @wp.func
-def contact_wrench(contact: Contact, overlap: Overlap, turn: wp.vec3d, shift: wp.vec3d) -> Wrench:
-    """Return what a contact does.
-
-    `turn` and `shift` are how the first body moves past the second: angular velocity [rad/s], and velocity
-    where ground's origin is [m/s].
-    """
+def contact_wrench(contact: Contact, first: BodyMotion, second: BodyMotion) -> Wrench:
+    """Return what a contact does; of where its bodies are and how they move."""
+    overlap = overlap_of(contact, first, second)
     found = Wrench()
     found.normal = overlap.normal
     within = wp.float64(0.5) - contact.material.share
     found.location = overlap.location + overlap.depth * within * found.normal
-    velocity = shift + wp.cross(turn, found.location)
+    velocity = first.shift - second.shift + wp.cross(first.turn - second.turn, found.location)
     found.touch = touch(contact.material, overlap, velocity)
     return found

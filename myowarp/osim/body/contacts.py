@@ -8,35 +8,13 @@ import numpy as np
 import warp as wp
 
 from myowarp.kernels.launch import launch
-from myowarp.laws.forces.contact import Contact, Wrench, contact_wrench, overlap_of
+from myowarp.laws.forces.contact import Contact, contact_wrench
 from myowarp.osim.body.model_forces import motion_of
 from myowarp.osim.body.skeleton import Bones, Placement, Skeleton, place
 from myowarp.osim.bundle.contacts import SurfacePair, contact_table
 from myowarp.osim.document.contacts import contact_pairs
 
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.func
-def contact_between(
-    worldid: int,
-    contact: Contact,
-    skeleton: Skeleton,
-    speeds: wp.array2d[wp.float64],
-    placement: Placement,
-) -> Wrench:
-    """Return what a contact does to its second body."""
-    one, two = contact.first, contact.second
-    first = motion_of(worldid, one.body, skeleton, speeds, placement)
-    second = motion_of(worldid, two.body, skeleton, speeds, placement)
-    overlap = overlap_of(
-        contact,
-        first.rotation * one.rotation,
-        first.origin + first.rotation * one.origin,
-        second.rotation * two.rotation,
-        second.origin + second.rotation * two.origin,
-    )
-    return contact_wrench(contact, overlap, first.turn - second.turn, first.shift - second.shift)
 
 
 @wp.kernel(enable_backward=False)
@@ -56,7 +34,10 @@ def push_contacts(
     worldid = wp.tid()
     place(worldid, skeleton, values, worldid, placement)
     for number in range(contacts.shape[0]):
-        found = contact_between(worldid, contacts[number], skeleton, speeds, placement)
+        contact = contacts[number]
+        first = motion_of(worldid, contact.first.body, skeleton, speeds, placement)
+        second = motion_of(worldid, contact.second.body, skeleton, speeds, placement)
+        found = contact_wrench(contact, first, second)
         force[worldid, number] = found.touch.force
         location[worldid, number] = found.location
 
