@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 import tyro
 from rich.console import Console
 
+from myowarp.apps.cli.motion.steps import say
 from myowarp.disk import check_overwrite
-from myowarp.osim.convert.function_paths import FILES, write_fitted
 from myowarp.osim.convert.run import COMPLETE, run
 
 
@@ -53,6 +53,7 @@ class Convert:
 
     def __call__(self) -> None:
         """Convert, check, write."""
+        from myowarp.osim.convert.function_paths import FILES, write_fitted
         from myowarp.sim.converted_step import OurStep  # compiles nothing that help needs
 
         fitted = FILES if self.fit_paths else ()
@@ -69,18 +70,13 @@ class Convert:
             self.function_paths,
         )
         if self.fit_paths:
-            say(write_fitted(self.model, self.output))
+            say([write_fitted(self.model, self.output)])
         if self.json:
             print(json.dumps(report, indent=1))
         else:
             _summarize(report, self.output, self.accept_losses)
         if self.strict and (failed := _failed(report)):
             raise ValueError(f"{self.model}: {failed}")
-
-
-def say(line: str) -> None:
-    """Say a line beside the summary."""
-    Console(stderr=True, highlight=False, soft_wrap=True).print(line, markup=False)
 
 
 def _failed(report: dict[str, Any]) -> str:

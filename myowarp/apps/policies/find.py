@@ -15,9 +15,9 @@ from myowarp.apps.policies.checkpoint import Checkpoint
 from myowarp.apps.policies.hold import Hold, check_hold
 from myowarp.apps.policies.learned import bind, read_policy
 from myowarp.apps.policies.muscle_control import MuscleControl, check_muscle_control
-from myowarp.apps.policies.prescribed import is_prescribed, prescribed
 from myowarp.apps.policies.replay import Replay, is_replay
 from myowarp.definitions.task import TaskSpec
+from myowarp.models.bodies.from_file import OPENSIM
 from myowarp.motion.storage import Storage, read_storage
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.outside import load
@@ -72,7 +72,9 @@ def find_policy(name: str, spec: TaskSpec) -> Policy:
         return Policy(name, checkpoint=read_policy(name, folder, spec))
     if is_replay(name):
         return Policy(name, excitations=read_storage(Path(name)))
-    if is_prescribed(name):
+    if Path(name).suffix.lower() == OPENSIM:
+        from myowarp.apps.policies.prescribed import prescribed  # reads models, which few policies are
+
         return Policy(name, excitations=prescribed(Path(name), spec))
     source, colon, attribute = name.rpartition(":")
     if not colon:

@@ -24,11 +24,6 @@ from myowarp.osim.document.read.muscles import is_on
 CONTROLLER = "PrescribedController"
 
 
-def is_prescribed(name: str) -> bool:
-    """Return whether a policy's name is a model with controllers."""
-    return Path(name).suffix.lower() == ".osim"
-
-
 def prescribed(path: Path, spec: TaskSpec) -> Storage:
     """Return the controls that a model prescribes, at the ends of the control steps of an episode.
 

@@ -141,22 +141,17 @@ def findings(found: dict[tuple[str, str], dict[str, np.ndarray]]) -> Findings:
         ("positive work at the joints in an episode", "J", of["work"]),
     )
 
-    def more(name: str) -> bool | None:
-        """Whether muscles have more of it than motors in every kind; None where a kind is open."""
-        apart = [rises(found[kind, "muscles"][name] - found[kind, "motors"][name]) for kind in kinds]
-        return None if None in apart else all(apart)
-
-    def fewer(name: str) -> bool | None:
-        """Whether muscles have less of it than motors in every kind; None where a kind is open."""
-        apart = [rises(found[kind, "motors"][name] - found[kind, "muscles"][name]) for kind in kinds]
+    def differs(name: str, sign: float) -> bool | None:
+        """Whether muscles have more of it than motors in every kind, or less; None where a kind is open."""
+        apart = [rises(sign * (found[kind, "muscles"][name] - found[kind, "motors"][name])) for kind in kinds]
         return None if None in apart else all(apart)
 
     holds = {
         "learned": all(own["success"].min() >= 90.0 for own in found.values()),
-        "samples": more("samples"),
-        "smooth": fewer("acceleration"),
-        "work": fewer("work"),
-        "robust": more("kicked"),
+        "samples": differs("samples", 1.0),
+        "smooth": differs("acceleration", -1.0),
+        "work": differs("work", -1.0),
+        "robust": differs("kicked", 1.0),
     }
     measured = {
         "kinds": len(kinds),
