@@ -20,9 +20,9 @@ from typing import Any
 from myowarp.apps.policies import baselines
 from myowarp.apps.policies.baselines import CURVE, RESULT, Baseline, load_baseline
 from myowarp.apps.policies.checkpoint import POLICY, Checkpoint, load_checkpoint, save_policy
+from myowarp.apps.reports.curve import CSV
 from myowarp.apps.reports.evaluation import SUCCESSES, evaluate_policy, plan_evaluation, success_text
 from myowarp.apps.reports.table import markdown
-from myowarp.apps.train.progress import CSV
 from myowarp.apps.train.run import REPORT
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS

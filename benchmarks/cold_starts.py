@@ -22,7 +22,7 @@ import numpy as np
 import tyro
 
 from benchmarks.machine import IDLE_CORES, processor
-from myowarp.apps.train.machine import used_seconds
+from myowarp.apps.reports.machine import used_seconds
 
 
 @dataclass

@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.machine import processor
-from myowarp.apps.train.machine import used_seconds
+from myowarp.apps.reports.machine import used_seconds
 from myowarp.disk import plain
 
 ROOT = Path(__file__).parents[1]

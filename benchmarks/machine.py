@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Iterable
 from typing import TypeVar
 
-from myowarp.apps.train.machine import processor, used_seconds
+from myowarp.apps.reports.machine import processor, used_seconds
 
 __all__ = ["IDLE_CORES", "disturbances", "least_disturbed", "processor", "timed_here"]
 

@@ -44,4 +44,4 @@ def make_learner(algorithm, num_obs=6, num_actions=3, **given):
     """Return a learner with the defaults of its algorithm, besides what is given."""
     settings = choose("none", algorithm, parents(algorithm) | given)
     worlds = DrawnWorlds(settings.num_worlds, num_obs, num_actions)
-    return LEARNERS[type(settings).__name__](settings, worlds, ALONE)
+    return LEARNERS[settings.algorithm](settings, worlds, ALONE)

@@ -10,7 +10,7 @@ What an environment is (`Setup`) and what a training is told (`apps/train/settin
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import Field, field
+from dataclasses import Field, field, fields
 from typing import Any, cast
 
 from myowarp.definitions.registry import check_choice
@@ -43,6 +43,12 @@ def option(
     """
     told = {"text": text, "form": form, "choices": choices, "least": least, "most": most}
     return field(default=default, metadata=told | {"check": check, "flag": flag, "free": free})
+
+
+def other(of: Any, name: str, default: Any, text: str = "") -> Any:
+    """Return an option of another class with a default of its own, and a text where it means something else."""
+    told = {entry.name: entry for entry in fields(of)}[name].metadata
+    return field(default=default, metadata={**told, "text": text or told["text"]})
 
 
 def checked(entry: Field[Any], value: Any, name: str) -> Any:

@@ -8,8 +8,7 @@ import torch
 from learners import DrawnWorlds, make_learner
 from torch import nn
 
-from myowarp.apps.train.networks import Critics, products
-from myowarp.apps.train.noise import REPEATS, RepeatedNoise
+from myowarp.apps.train.networks import REPEATS, Critics, RepeatedNoise
 from myowarp.apps.train.sac import BOUND, RewardScale, project
 
 ATOMS = torch.linspace(-BOUND, BOUND, 21)
@@ -197,20 +196,6 @@ def test_two_critics_side_by_side_are_two_critics():
         np.testing.assert_allclose(critics.last[0].weight.grad[number, 0], last[0].weight.grad, atol=1e-4)
 
 
-def test_what_critics_of_before_shared_each_of_them_gets():
-    learner, other = filled(False), filled(False)
-    arrays, name = learner.arrays(), "critics.last.0.weight"
-    shared = arrays[name][0, 0] + 0.5
-    index = [own for own, _ in learner.critics.named_parameters()].index("last.0.weight")
-    moments = [f"optimizer.critics.{index}.{moment}" for moment in ("exp_avg", "exp_avg_sq")]
-    arrays |= {name: shared} | {key: arrays[key][0, 0] for key in moments}
-    other.restore(arrays)
-    np.testing.assert_array_equal(other.critics.last[0].weight.detach(), np.stack([shared[None]] * 2))
-    other._update()
-    with pytest.raises(RuntimeError, match=r"critics\.last\.0\.bias"):
-        other.restore(arrays | {"critics.last.0.bias": np.ones(7, np.float32)})
-
-
 def test_losses_in_bfloat16_are_near_those_in_float32():
     """Products alone are rounded; weights, sums and the optimiser stay float32."""
     learner = filled(False)
@@ -218,7 +203,8 @@ def test_losses_in_bfloat16_are_near_those_in_float32():
     obs, losses = learner.normaliser(batch["obs"]), {}
     target = torch.full((2, 64), 10)
     for precision in ("float32", "bfloat16"):
-        with products(precision, "cpu"):
+        learner.settings = dataclasses.replace(learner.settings, precision=precision)
+        with learner.products():
             logits = learner.critics(obs, batch["action"])
         assert logits.dtype == torch.float32
         losses[precision] = nn.functional.cross_entropy(logits.flatten(0, 1), target.flatten()).item()

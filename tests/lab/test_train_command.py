@@ -41,6 +41,7 @@ pytestmark = pytest.mark.usefixtures("registered")
 ELBOW, OTHER = "myoElbowPose1D6MRandom-v0", "myoElbowPose1D6MFixed-v0"
 TINY = ("--num-worlds", 8, "--rollout-steps", 8, "--minibatches", 2, "--hidden", 16, "--device", "cpu")
 TINY += ("--selections", 0)
+GOES_ON = "--resume goes on with the settings of its run, where "
 PRESETS = sorted(f.name for f in resources.files("myowarp.apps.train").joinpath("presets").iterdir())
 
 
@@ -360,15 +361,12 @@ def test_a_killed_start_does_not_occupy_its_folder(run, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (("--epochs", 7), "--resume goes on with the settings of its run, where --epochs is 5, got 7"),
-        (("--hidden", 8), "--resume goes on with the settings of its run, where --hidden is [16], got (8,)"),
-        (("--replay", 8), "--resume goes on with the settings of its run, where --replay is None, got 8"),
-        (
-            ("--stop-rule", "success_any"),
-            "--resume goes on with the settings of its run, where --stop-rule is ",
-        ),
-        (("--algorithm", "sac"), "--resume goes on with algorithm 'ppo', got 'sac'; leave it out"),
-        ((OTHER,), f"--resume goes on with task {ELBOW!r}, got {OTHER!r}; leave it out"),
+        (("--epochs", 7), f"{GOES_ON}--epochs is 5, got 7"),
+        (("--hidden", 8), f"{GOES_ON}--hidden is [16], got (8,)"),
+        (("--replay", 8), f"{GOES_ON}--replay is None, got 8"),
+        (("--stop-rule", "success_any"), f"{GOES_ON}--stop-rule is "),
+        (("--algorithm", "sac"), f"{GOES_ON}--algorithm is 'ppo', got 'sac'; leave it out"),
+        ((OTHER,), f"{GOES_ON}task is {ELBOW!r}, got {OTHER!r}; leave it out"),
     ],
 )
 def test_a_run_goes_on_with_its_own_settings(arguments, sentence, tiny, run, no_simulation):

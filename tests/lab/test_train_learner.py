@@ -9,10 +9,11 @@ import torch
 from elbows import learner_env
 from learners import make_learner, parents
 
-from myowarp.apps.train import machine, ppo
+from myowarp.apps.reports import machine
+from myowarp.apps.train import ppo
 from myowarp.apps.train.learner import Average, Captured
 from myowarp.apps.train.loop import INHERITED_STEPS, DivergedError, Run, precision
-from myowarp.apps.train.networks import CLIP, Normaliser, products
+from myowarp.apps.train.networks import CLIP, Normaliser
 from myowarp.apps.train.ppo import RATE_FACTOR, Rollout
 from myowarp.apps.train.replay import Replay
 from myowarp.apps.train.settings import ALGORITHMS, Replaying, choose
@@ -589,5 +590,5 @@ def test_a_loss_in_bfloat16_is_near_that_in_float32():
     assert 0.0 < abs(found["bfloat16"][0] - found["float32"][0]) < 0.02
     apart = np.abs(found["bfloat16"][1] - found["float32"][1]).max()
     assert 0.0 < apart < 0.1 * np.abs(found["float32"][1]).max()
-    with products("float32", "cpu"):
+    with small("ppo", precision="float32").products():
         assert (torch.ones(2, 2) @ torch.ones(2, 2)).dtype == torch.float32

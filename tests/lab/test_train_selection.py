@@ -13,11 +13,11 @@ from matplotlib.figure import Figure
 
 from myowarp.apps.policies import checkpoint as checkpoints
 from myowarp.apps.policies.checkpoint import BEST, STATE, find_folder, load_checkpoint
+from myowarp.apps.reports.curve import SELECTED, draw_curve
 from myowarp.apps.reports.evaluation import evaluate_policy, plan_evaluation
 from myowarp.apps.train import selection
 from myowarp.apps.train.loop import Run
 from myowarp.apps.train.plan import plan
-from myowarp.apps.train.progress import SELECTED, draw_curve
 from myowarp.apps.train.run import train
 from myowarp.definitions.setup import Setup
 from myowarp.models.conditions.sarcopenia import Sarcopenia

@@ -120,7 +120,7 @@ class Watched:
     """A `Backplay` whose calls are noted: states of all worlds before restarts, and what was placed."""
 
     def __init__(self, worlds, monkeypatch):
-        self.worlds, self.backplay = worlds, worlds._backplay
+        self.worlds, self.backplay = worlds, worlds.backplay
         self.steps, self.placed, self.restarts = [], [], 0
         see, place = self.backplay.see, self.backplay.place
 
@@ -147,10 +147,15 @@ class Watched:
     def kept(self):
         """Return the kept states, by name."""
         return {
-            name.removeprefix(starts.PREFIX): rows
+            name.removeprefix(starts.KEEPS): rows
             for name, rows in self.backplay.arrays().items()
             if name != starts.COUNTS
         }
+
+
+def noted_of(backplay):
+    """Return what is noted, by the names of a state."""
+    return {name.removeprefix(starts.NOTES): rows for name, rows in backplay.notes.items()}
 
 
 def key_of(arrays, *row):
@@ -194,7 +199,7 @@ def test_states_are_kept_on_the_way_of_a_success_from_before_it(monkeypatch):
 def test_all_or_no_episodes_start_on_the_way_of_a_success(share, monkeypatch):
     worlds = Worlds(learner_env(WORLDS, HORIZON), start_share=share)
     if not share:
-        assert worlds._backplay is None
+        assert worlds.backplay is None
         assert not [name for name in worlds.arrays() | worlds.rows() if name.startswith(("starts", "notes"))]
         return
     watched, act = Watched(worlds, monkeypatch), holding(worlds)
@@ -210,14 +215,14 @@ def test_the_oldest_states_go(monkeypatch):
     monkeypatch.setattr(starts, "KEPT", 8)
     worlds = Worlds(learner_env(WORLDS, HORIZON), start_share=0.3)
     watched, act, newest = Watched(worlds, monkeypatch), holding(worlds, 0.6), []
-    keep = worlds._backplay._keep
+    keep = worlds.backplay._keep
 
     def noted(world):
-        notes = worlds._backplay._notes[world]
-        newest.extend(key_of(worlds._backplay._noted, world, note) for note in range(notes))
+        notes = worlds.backplay.notes[starts.NUMBER][world]
+        newest.extend(key_of(noted_of(worlds.backplay), world, note) for note in range(notes))
         keep(world)
 
-    monkeypatch.setattr(worlds._backplay, "_keep", noted)
+    monkeypatch.setattr(worlds.backplay, "_keep", noted)
     for _ in range(16 * HORIZON):
         worlds.step(act())
     assert len(newest) > 16
@@ -234,16 +239,17 @@ def test_a_copy_has_come_the_way_of_the_world_that_it_is_a_copy_of():
             worlds.copy(torch.tensor([4, 4, 4, 4, 5, 5]))
         worlds.step(torch.from_numpy(rng.uniform(-1.0, 0.2, (WORLDS, 6))).float())
         states.append({name: array.copy() for name, array in worlds.env.get_state().arrays.items()})
-    backplay = worlds._backplay
+    backplay = worlds.backplay
     for world, source in enumerate([4, 4, 4, 4, 5, 5]):
-        notes = [key_of(backplay._noted, world, note) for note in range(backplay._notes[world])]
+        number = backplay.notes[starts.NUMBER][world]
+        notes = [key_of(noted_of(backplay), world, note) for note in range(number)]
         way = [(9, source), (19, source), (29, world)]  # a row of `states` is a step further
         wanted = [key_of(states[at], of) for at, of in way if states[at]["episode.solved_count"][of] <= 5]
         assert notes == wanted
-    assert backplay._notes.sum() >= 2 * WORLDS
+    assert backplay.notes[starts.NUMBER].sum() >= 2 * WORLDS
     worlds.restart()
-    assert not backplay._notes.any()
-    assert not backplay._length.any()
+    assert not backplay.notes[starts.NUMBER].any()
+    assert not backplay.notes[starts.LENGTH].any()
 
 
 def test_states_on_the_way_go_on_from_a_checkpoint(monkeypatch):
@@ -255,7 +261,7 @@ def test_states_on_the_way_go_on_from_a_checkpoint(monkeypatch):
     other.restore(
         {name: array.copy() for name, array in (one.rows() | one.arrays()).items()}, one.steps, clock
     )
-    assert one._backplay.filled > 0
+    assert one.backplay.filled > 0
     for _ in range(2 * HORIZON):
         action = act()
         for worlds in (one, other):

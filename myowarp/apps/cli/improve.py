@@ -11,7 +11,9 @@ import tyro
 
 from myowarp.apps.cli.options import Asked, environment, optional
 from myowarp.apps.cli.train import setting_fields
-from myowarp.apps.train.plan import SAVE_SECONDS, plan, policy_task
+from myowarp.apps.policies.baselines import OWN, policy_folder
+from myowarp.apps.policies.checkpoint import load_checkpoint, trained_setup
+from myowarp.apps.train.plan import SAVE_SECONDS, plan
 from myowarp.apps.train.run import train
 
 
@@ -37,10 +39,11 @@ class ImproveCommand:
     def __call__(self) -> None:
         """Check everything, search, imitate and report."""
         given = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        policy, setup, task = given.pop("policy"), given.pop("asked").setup, policy_task(self.policy)
-        given["expert" if task is None else "parent"] = policy
-        if setup.task is None:
-            setup = dataclasses.replace(setup, task=task)
+        policy, setup = given.pop("policy"), given.pop("asked").setup
+        folder = None if policy == OWN else policy_folder(policy, None)
+        given["expert" if folder is None else "parent"] = policy
+        if folder is not None and setup.task is None:
+            setup = dataclasses.replace(setup, task=trained_setup(load_checkpoint(folder).manifest).task)
         train(plan(setup, algorithm="improve", **{k: v for k, v in given.items() if v is not None}))
 
 

@@ -75,7 +75,7 @@ class DAgger(Learner):
                 mean = self.policy(part)
             loss = (mean - advice).square().mean()
             self.descend("policy", loss)
-            self.note("policy_loss", loss)
+            self.note(policy_loss=loss)
 
 
 def advice_of(expert: Expert, obs: torch.Tensor, most: float) -> torch.Tensor:

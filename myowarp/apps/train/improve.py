@@ -20,8 +20,7 @@ import torch
 from myowarp.apps.rollouts.ranks import Ranks
 from myowarp.apps.train.dagger import Expert, advice_of
 from myowarp.apps.train.learner import Learner
-from myowarp.apps.train.networks import GaussianPolicy
-from myowarp.apps.train.noise import RepeatedNoise
+from myowarp.apps.train.networks import GaussianPolicy, RepeatedNoise
 from myowarp.apps.train.replay import Replay
 from myowarp.apps.train.settings import ImproveSettings
 from myowarp.apps.train.worlds import Worlds
@@ -67,7 +66,7 @@ class Improve(Learner):
         """Search for one episode of every start, keep what succeeded, and fit the network to all that did."""
         self.set_rates()
         obs, output, success = self._search(worlds)
-        self.note("solved_starts", success.any(dim=1).float().mean())
+        self.note(solved_starts=success.any(dim=1).float().mean())
         first = torch.arange(len(success), device=self.device) * success.shape[1]
         best = first + success.float().argmax(dim=1)
         for world in best[success.any(dim=1)].tolist():
@@ -128,7 +127,7 @@ class Improve(Learner):
                 output = self.policy.net(self.normaliser(batch["obs"])).float()
             loss = (output - batch["output"]).square().mean()
             self.descend("policy", loss)
-            self.note("policy_loss", loss)
+            self.note(policy_loss=loss)
 
 
 def _choice(score: torch.Tensor, keep: int) -> torch.Tensor:

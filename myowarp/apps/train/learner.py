@@ -1,13 +1,13 @@
 """The base of every algorithm: a policy, a normaliser, optimisers, a memory; and all their numbers by name.
 
-An algorithm is a file: `ppo.py`, `trpo.py`, `sac.py`, `dagger.py`. Its class says in `iterate` what one
-iteration is, from the worlds' first step to the last step of an optimiser.
+An algorithm is a file: `ppo.py`, `trpo.py`, `sac.py`, `dagger.py`, `improve.py`. Its class says in `iterate`
+what one iteration is, from the worlds' first step to the last step of an optimiser.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager
 
 import numpy as np
@@ -15,16 +15,14 @@ import torch
 from torch import nn
 
 from myowarp.apps.rollouts.ranks import Ranks
-from myowarp.apps.train.networks import CLIP, EPSILON, GaussianPolicy, Normaliser, SquashedPolicy, products
+from myowarp.apps.train.arrays import Arrays, below, put, taken, tensor
+from myowarp.apps.train.networks import CLIP, EPSILON, GaussianPolicy, Normaliser, SquashedPolicy
 from myowarp.apps.train.replay import Replay
 from myowarp.apps.train.settings import Settings
 from myowarp.apps.train.worlds import Worlds
 
-Arrays = dict[str, np.ndarray]
-GENERATORS = ("torch_generator", "cuda_generator")
-"""Arrays of which every rank has one of its own."""
-NOISE = "noise."
-"""Arrays of which every world has a row begin so."""
+OF_RANKS = ("noise.", "torch_generator", "cuda_generator")
+"""Begins of names of arrays of which every rank has rows of its own: one a world, or one."""
 
 
 class Learner(nn.Module):
@@ -56,46 +54,8 @@ class Learner(nn.Module):
         raise NotImplementedError
 
     def products(self) -> AbstractContextManager[object]:
-        """Return the context in which products of matrices have the run's precision."""
-        return products(self.settings.precision, self.device)
-
-    def set_rates(self) -> None:
-        """Let all rates of learning fall along half a cosine, as the run goes on."""
-        last = self.settings.last_rate
-        share = last + (1.0 - last) * 0.5 * (1.0 + math.cos(math.pi * min(self.share, 1.0)))
-        for optimizer in self.optimizers.values():
-            set_rate(optimizer, share * optimizer.param_groups[0]["first_rate"])
-
-    def descend(
-        self, name: str, loss: torch.Tensor, clipped: Iterable[nn.Parameter] = (), norm: float = 0.0
-    ) -> None:
-        """Do one step of an optimiser, on the mean gradient of all ranks.
-
-        Args:
-            name: Of the optimiser.
-            loss: What is to fall.
-            clipped: Parameters whose gradients are clipped together.
-            norm: To which norm; 0: not at all.
-        """
-        self.optimizers[name].zero_grad()
-        loss.backward()
-        clipped = [*clipped]
-        self.ranks.average_gradients(clipped)
-        if norm:
-            nn.utils.clip_grad_norm_(clipped, norm)
-        self.optimizers[name].step()
-
-    def note(self, name: str, value: torch.Tensor) -> None:
-        """Keep a figure of the iteration."""
-        self.noted.setdefault(name, []).append(value.detach())
-
-    def figures(self) -> dict[str, float]:
-        """Return the means of what was noted since the last call."""
-        means = {name: float(torch.stack(values).mean()) for name, values in self.noted.items()}
-        self.noted.clear()
-        if "policy" in self.optimizers:
-            means["learning_rate"] = float(self.optimizers["policy"].param_groups[0]["lr"])
-        return means
+        """Return the context in which matrix products have the run's precision; all else stays float32."""
+        return torch.autocast(self.device.type, torch.bfloat16, enabled=self.settings.precision == "bfloat16")
 
     def adam(
         self, parameters: Iterable[nn.Parameter], rate: float, decay: float = 0.0
@@ -107,6 +67,42 @@ class Learner(nn.Module):
         group = {"params": list(parameters), "lr": first, "first_rate": rate}
         return torch.optim.AdamW([group], weight_decay=decay, fused=True, capturable=captured)
 
+    def set_rates(self) -> None:
+        """Let all rates of learning fall along half a cosine, as the run goes on."""
+        last = self.settings.last_rate
+        share = last + (1.0 - last) * 0.5 * (1.0 + math.cos(math.pi * min(self.share, 1.0)))
+        for optimizer in self.optimizers.values():
+            set_rate(optimizer, share * optimizer.param_groups[0]["first_rate"])
+
+    def descend(
+        self, name: str, loss: torch.Tensor, clipped: Iterable[nn.Parameter] = (), norm: float = 0.0
+    ) -> None:
+        """Do one step of an optimiser, on the mean gradient of all ranks; `clipped` have a norm, if not 0."""
+        self.optimizers[name].zero_grad()
+        loss.backward()
+        clipped = [*clipped]
+        self.ranks.average_gradients(clipped)
+        if norm:
+            nn.utils.clip_grad_norm_(clipped, norm)
+        self.optimizers[name].step()
+
+    def note(self, **figures: torch.Tensor) -> None:
+        """Keep figures of the iteration."""
+        for name, value in figures.items():
+            self.noted.setdefault(name, []).append(value.detach())
+
+    def figures(self) -> dict[str, float]:
+        """Return the means of what was noted since the last call."""
+        means = {name: float(torch.stack(values).mean()) for name, values in self.noted.items()}
+        self.noted.clear()
+        if "policy" in self.optimizers:
+            means["learning_rate"] = float(self.optimizers["policy"].param_groups[0]["lr"])
+        return means
+
+    def is_finite(self) -> bool:
+        """Return whether every weight is finite."""
+        return bool(torch.stack([p.detach().sum() for p in self.parameters()]).isfinite().all())
+
     def inherit(self, parent: Mapping[str, np.ndarray], samples: int, count: int) -> None:
         """Start from the policy of another run, with a spread and a value function of this one.
 
@@ -116,22 +112,18 @@ class Learner(nn.Module):
             count: Samples as which they count here, few enough for the new task's to outweigh them soon.
         """
         own = self.policy.state_dict()
-        self.policy.load_state_dict({k: v if k == "log_std" else _tensor(parent[k]) for k, v in own.items()})
+        self.policy.load_state_dict({k: v if k == "log_std" else tensor(parent[k]) for k, v in own.items()})
         mean, variance = parent["observation_mean"], parent["observation_variance"]
         # A column that never changed, such as a fixed goal, has weights that nothing trained, and no more
         # variance than a normaliser starts with: that of one sample beside the mean 0.
         unseen = variance * samples < 1.01 * (1.0 + mean * mean)
         first = self.policy.net[0]
         assert isinstance(first, nn.Linear)
-        with torch.no_grad():
-            first.weight[:, torch.from_numpy(unseen)] = 0.0
-        self.normaliser.mean.copy_(_tensor(mean))
-        self.normaliser.variance.copy_(_tensor(variance))
-        self.normaliser.count.fill_(count)
-
-    def is_finite(self) -> bool:
-        """Return whether every weight is finite."""
-        return bool(torch.stack([p.detach().sum() for p in self.parameters()]).isfinite().all())
+        first.weight.data[:, torch.from_numpy(unseen)] = 0.0
+        put(
+            dict(self.normaliser.named_buffers()),
+            {"mean": mean, "variance": variance, "count": np.array(count)},
+        )
 
     def form(self) -> dict[str, object]:
         """Return what the arrays of the policy leave open, for `myowarp.apps.policies.learned`."""
@@ -144,19 +136,14 @@ class Learner(nn.Module):
         }
 
     def arrays(self) -> Arrays:
-        """Return everything that the next iteration depends on.
-
-        The samples of PPO and TRPO are not among it: a checkpoint is written between two iterations, and the
-        next one takes others.
-        """
-        tensors = dict(self.state_dict()) | {"torch_generator": torch.get_rng_state()}
+        """Return all that the next iteration depends on; the samples of PPO and TRPO are none of it."""
+        tensors = dict(self.state_dict()) | {"torch_generator": torch.get_rng_state()[None]}
         if self.device.type == "cuda":
-            tensors["cuda_generator"] = torch.cuda.get_rng_state(self.device)
+            tensors["cuda_generator"] = torch.cuda.get_rng_state(self.device)[None]
         for name, optimizer in self.optimizers.items():
             for index, entries in optimizer.state_dict()["state"].items():
                 tensors |= {f"optimizer.{name}.{index}.{key}": value for key, value in entries.items()}
-        arrays = {name: array(tensor) for name, tensor in tensors.items()}
-        return arrays | ({} if self.replay is None else self.replay.arrays())
+        return taken(tensors) | ({} if self.replay is None else self.replay.arrays())
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Put all numbers back; torch's generators too.
@@ -165,20 +152,51 @@ class Learner(nn.Module):
             KeyError: An array is missing.
             RuntimeError: An array has another shape.
         """
-        self.load_state_dict({name: _of_both(arrays[name], own) for name, own in self.state_dict().items()})
+        self.load_state_dict({name: tensor(arrays[name]) for name in self.state_dict()})
         for name, optimizer in self.optimizers.items():
             states: dict[int, dict[str, torch.Tensor]] = {}
-            for key, value in _below(arrays, f"optimizer.{name}."):
+            for key, value in below(arrays, f"optimizer.{name}.").items():
                 index, _, entry = key.partition(".")
-                own = optimizer.param_groups[0]["params"][int(index)]
-                states.setdefault(int(index), {})[entry] = _of_both(value, own)
+                states.setdefault(int(index), {})[entry] = tensor(value)
             groups = optimizer.state_dict()["param_groups"]
             optimizer.load_state_dict({"state": states, "param_groups": groups})
         if self.replay is not None:
             self.replay.restore(arrays)
-        torch.set_rng_state(_tensor(arrays["torch_generator"]))
+        torch.set_rng_state(tensor(arrays["torch_generator"]).flatten())
         if "cuda_generator" in arrays:
-            torch.cuda.set_rng_state(_tensor(arrays["cuda_generator"]), self.device)
+            torch.cuda.set_rng_state(tensor(arrays["cuda_generator"]).flatten(), self.device)
+
+
+def set_rate(optimizer: torch.optim.Optimizer, rate: float) -> None:
+    """Give an optimiser its rate, in place where a captured step reads it."""
+    for group in optimizer.param_groups:
+        if isinstance(group["lr"], torch.Tensor):
+            group["lr"].fill_(rate)
+        else:
+            group["lr"] = rate
+
+
+class Average:
+    """An average of a policy over the last iterations: w <- keep w + (1 - keep) policy.
+
+    It acts in evaluations, and is what a run leaves; the policy itself takes the samples.
+    """
+
+    def __init__(self, learner: Learner, keep: float) -> None:
+        """Begin with the policy as it is."""
+        self._learner, self._keep = learner, keep
+        self.tensors = {name: tensor.clone() for name, tensor in learner.policy.state_dict().items()}
+
+    def follow(self) -> None:
+        """Take the policy of the last iteration into account."""
+        for name, weights in self._learner.policy.state_dict().items():
+            self.tensors[name].lerp_(weights, 1.0 - self._keep)
+
+    def arrays(self) -> Arrays:
+        """Return what acts: weights, and the normaliser of observations."""
+        seen = self._learner.normaliser
+        moments = {"observation_mean": seen.mean, "observation_variance": seen.variance}
+        return taken(self.tensors | moments)
 
 
 WARM_UPS = 3  # plain calls before a capture, in which libraries allocate what they keep
@@ -208,21 +226,20 @@ class Captured:
         self._calls += 1
         if not self._captures:
             self._step(*tensors)
-            return
-        if self._calls <= WARM_UPS:
+        elif self._calls <= WARM_UPS:
             self._warm_up(*tensors)
-            return
-        if self._replay is None:
-            self._inputs, others = tuple(tensor.clone() for tensor in tensors), self._learner.noted
-            self._learner.noted = self._noted
-            self._replay = self._capture()
-            self._learner.noted = others
-        for own, tensor in zip(self._inputs, tensors, strict=True):
-            own.copy_(tensor)
-        self._replay()
-        for name, figures in self._noted.items():
-            for figure in figures:
-                self._learner.note(name, figure.clone())
+        else:
+            if self._replay is None:
+                self._inputs, others = tuple(each.clone() for each in tensors), self._learner.noted
+                self._learner.noted = self._noted
+                self._replay = self._capture()
+                self._learner.noted = others
+            for own, each in zip(self._inputs, tensors, strict=True):
+                own.copy_(each)
+            self._replay()
+            for name, figures in self._noted.items():
+                for figure in figures:
+                    self._learner.note(**{name: figure.clone()})
 
     def _warm_up(self, *tensors: torch.Tensor) -> None:
         """Do the step beside the stream that others use, where a capture does it, too."""
@@ -238,64 +255,3 @@ class Captured:
         with torch.cuda.graph(graph):
             self._step(*self._inputs)
         return graph.replay
-
-
-def set_rate(optimizer: torch.optim.Optimizer, rate: float) -> None:
-    """Give an optimiser its rate, in place where a captured step reads it."""
-    for group in optimizer.param_groups:
-        if isinstance(group["lr"], torch.Tensor):
-            group["lr"].fill_(rate)
-        else:
-            group["lr"] = rate
-
-
-class Average:
-    """An average of a policy over the last iterations: w <- keep w + (1 - keep) policy.
-
-    It acts in evaluations, and is what a run leaves; the policy itself takes the samples.
-    """
-
-    def __init__(self, learner: Learner, keep: float) -> None:
-        """Begin with the policy as it is."""
-        self._learner, self._keep = learner, keep
-        self.tensors = {name: tensor.clone() for name, tensor in learner.policy.state_dict().items()}
-
-    def follow(self) -> None:
-        """Take the policy of the last iteration into account."""
-        for name, tensor in self._learner.policy.state_dict().items():
-            self.tensors[name].lerp_(tensor, 1.0 - self._keep)
-
-    def arrays(self) -> Arrays:
-        """Return what acts: weights, and the normaliser of observations."""
-        normaliser = self._learner.normaliser
-        moments = {"observation_mean": normaliser.mean, "observation_variance": normaliser.variance}
-        return {name: array(tensor) for name, tensor in (self.tensors | moments).items()}
-
-    def restore(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Put the average back."""
-        for name, tensor in self.tensors.items():
-            tensor.copy_(_tensor(arrays[name]))
-
-
-def _below(arrays: Mapping[str, np.ndarray], prefix: str) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the arrays whose names begin with a prefix, without it."""
-    for name, value in arrays.items():
-        if name.startswith(prefix):
-            yield name.removeprefix(prefix), value
-
-
-def array(tensor: torch.Tensor) -> np.ndarray:
-    """Return a copy on the host."""
-    return tensor.detach().cpu().numpy().copy()
-
-
-def _of_both(values: np.ndarray, own: torch.Tensor) -> torch.Tensor:
-    """Return an array as a tensor; what both critics once shared, each of them gets."""
-    tensor = _tensor(values)
-    both = own.ndim == 3 and tensor.shape == own.shape[2:]
-    return tensor.expand_as(own).clone() if both else tensor
-
-
-def _tensor(values: np.ndarray) -> torch.Tensor:
-    """Return a tensor that owns its memory."""
-    return torch.from_numpy(np.array(values))

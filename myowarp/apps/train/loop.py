@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Mapping
 from itertools import chain
 from typing import Any
 
@@ -14,12 +13,13 @@ import torch
 
 from myowarp.apps.policies.checkpoint import Checkpoint
 from myowarp.apps.policies.find import acting, find_policy
+from myowarp.apps.reports.machine import multiplies_bfloat16
 from myowarp.apps.rollouts.ranks import ALONE, Ranks
 from myowarp.apps.train import bonus
+from myowarp.apps.train.arrays import Arrays, below, put
 from myowarp.apps.train.dagger import DAgger
 from myowarp.apps.train.improve import Improve
-from myowarp.apps.train.learner import GENERATORS, NOISE, Arrays, Average, Learner
-from myowarp.apps.train.machine import multiplies_bfloat16
+from myowarp.apps.train.learner import OF_RANKS, Average, Learner
 from myowarp.apps.train.ppo import PPO
 from myowarp.apps.train.sac import SAC
 from myowarp.apps.train.settings import Settings
@@ -28,20 +28,12 @@ from myowarp.apps.train.worlds import Worlds
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.sim.state import State
 
-LEARNERS: dict[str, type[Learner]] = {
-    "PPOSettings": PPO,
-    "TRPOSettings": TRPO,
-    "SACSettings": SAC,
-    "DAggerSettings": DAgger,
-    "ImproveSettings": Improve,
-}
-"""Algorithms by the class of their settings."""
-
+LEARNERS: dict[str, type[Learner]] = {"ppo": PPO, "trpo": TRPO, "sac": SAC}
+LEARNERS |= {"dagger": DAgger, "improve": Improve}
 RANK_SEEDS = 1_000_003  # from the seed of one rank's actions to that of the next
-
 INHERITED_STEPS = 32
 """Control steps of every world as which all counts that a parent's normaliser has seen in another task."""
-
+AGENT = "agent."
 FIGURES = ("policy_loss", "value_loss", "critic_loss", "action_std", "kl", "learning_rate", "entropy_weight")
 """Columns of `progress.csv` in every run; NaN where an algorithm has none."""
 
@@ -80,11 +72,11 @@ class Run:
             ranks: This process among those of the run.
         """
         settings = dataclasses.replace(settings, precision=precision(settings, str(env.sim.scene.device)))
-        self.settings, self.ranks = settings, ranks
-        torch.manual_seed(env.sim.setup.seed or 0)
+        self.settings, self.ranks, seed = settings, ranks, env.sim.setup.seed or 0
+        torch.manual_seed(seed)
         self.worlds = Worlds(env, start, bonus.weights(settings.bonus), settings.start_share)
         own = dataclasses.replace(settings, num_worlds=env.num_envs)
-        self.learner = LEARNERS[type(settings).__name__](own, self.worlds, ranks)
+        self.learner = LEARNERS[settings.algorithm](own, self.worlds, ranks)
         self._let_expert_act()
         if parent is not None:
             seen, same = parent.manifest["samples"], parent.task == env.sim.scene.spec.key
@@ -92,7 +84,7 @@ class Run:
             self.learner.inherit(parent.policy, seen, settings.parent_samples or known)
         self.average = Average(self.learner, settings.average)
         if not ranks.leads:  # one policy, but actions of its own
-            torch.manual_seed((env.sim.setup.seed or 0) + RANK_SEEDS * ranks.rank)
+            torch.manual_seed(seed + RANK_SEEDS * ranks.rank)
         self.updates = 0
         self.losses: dict[str, float] = {}
         self.faults: list[str] = []
@@ -116,25 +108,21 @@ class Run:
         """
         clock, begin, cpu = self.worlds.clock, time.perf_counter(), time.process_time()
         simulation, self.learner.share = clock.simulation, self.samples / self.settings.samples
-        losses = self.learner.iterate(self.worlds)
+        losses, tally = self.learner.iterate(self.worlds), self.worlds.tally
         clock.learner += time.perf_counter() - begin - (clock.simulation - simulation)
         self.average.follow()
         self.updates += 1
-        self._exchange(losses)
-        clock.total += time.perf_counter() - begin
-        clock.cpu += time.process_time() - cpu
-        wrong = [name for name, value in self.losses.items() if not math.isfinite(value)]
-        if wrong or not self.learner.is_finite():
-            culprit = wrong[0].replace("_", " ") if wrong else "a weight"
-            raise DivergedError(f"{culprit} was not finite in update {self.updates}")
-
-    def _exchange(self, losses: dict[str, float]) -> None:
-        """Let all ranks have the episodes that ended on any, the mean of their losses, and the faults."""
-        own = self.worlds.tally.take(), losses, [*self.worlds.kinds.values()]
+        # All ranks have the episodes that ended on any, the mean of their losses, and the faults.
+        own = tally.take(), losses, [*self.worlds.kinds.values()]
         episodes, all_losses, kinds = zip(*self.ranks.everyones(own), strict=True)
         self.faults = list(dict.fromkeys(chain(self.faults, *kinds)))
-        self.worlds.tally.keep(np.concatenate(episodes))
+        tally.keep(np.concatenate(episodes))
         self.losses = {name: float(np.mean([rank[name] for rank in all_losses])) for name in losses}
+        clock.total += time.perf_counter() - begin
+        clock.cpu += time.process_time() - cpu
+        wrong = [name.replace("_", " ") for name, value in self.losses.items() if not math.isfinite(value)]
+        if wrong or not self.learner.is_finite():
+            raise DivergedError(f"{[*wrong, 'a weight'][0]} was not finite in update {self.updates}")
 
     def move(self, env: MyoWarpVectorEnv) -> None:
         """Let the worlds go on, as they are, in another environment of the task; the one before is closed."""
@@ -170,12 +158,8 @@ class Run:
 
     def arrays(self) -> Arrays:
         """Return what a resumed run needs besides the average policy; on the rank that saves."""
-        state = {f"agent.{name}": array for name, array in self.learner.arrays().items()}
-        rows = self.worlds.rows()
-        if self.ranks.size > 1:
-            generators = [f"agent.{name}" for name in GENERATORS]
-            rows |= {name: state.pop(name)[None] for name in generators if name in state}
-            rows |= {name: state.pop(name) for name in [*state] if name.startswith(f"agent.{NOISE}")}
+        state = {AGENT + name: array for name, array in self.learner.arrays().items()}
+        rows = self.worlds.rows() | {name: state.pop(name) for name in [*state] if _of_ranks(name)}
         return state | self.ranks.rows(rows) | self.worlds.arrays()
 
     def restore(self, checkpoint: Checkpoint) -> None:
@@ -186,16 +170,17 @@ class Run:
             RuntimeError: An array of the learner does not fit.
             ValueError: An array of the environment does not fit.
         """
-        state, manifest = checkpoint.state(), checkpoint.manifest
-        own = {*self.worlds.rows(), *(name for name in state if name.startswith(f"agent.{NOISE}"))}
-        state = {name: self.ranks.own(a) if name in own else a for name, a in state.items()}
-        if self.ranks.size > 1:
-            generators = [f"agent.{name}" for name in GENERATORS]
-            state |= {name: self.ranks.own(state[name])[0] for name in generators if name in state}
+        state, manifest, rows = checkpoint.state(), checkpoint.manifest, self.worlds.rows()
+        state |= {n: self.ranks.own(array) for n, array in state.items() if n in rows or _of_ranks(n)}
         self.worlds.restore(state, manifest["steps"], manifest["clock"])
         self.updates = manifest["updates"]
-        self.average.restore(checkpoint.policy)
-        self.learner.restore(_without_prefix(state))
+        put(self.average.tensors, checkpoint.policy)
+        self.learner.restore(below(state, AGENT))
+
+
+def _of_ranks(name: str) -> bool:
+    """Whether every rank has rows of its own of an array of the learner."""
+    return name.startswith(tuple(AGENT + begin for begin in OF_RANKS))
 
 
 def precision(settings: Settings, device: str) -> str:
@@ -203,9 +188,3 @@ def precision(settings: Settings, device: str) -> str:
     if settings.precision != "auto":
         return settings.precision
     return "bfloat16" if device.startswith("cuda") or multiplies_bfloat16() else "float32"
-
-
-def _without_prefix(state: Mapping[str, np.ndarray]) -> Arrays:
-    """Return the learner's arrays under its own names."""
-    prefix = "agent."
-    return {name.removeprefix(prefix): array for name, array in state.items() if name.startswith(prefix)}

@@ -1,4 +1,4 @@
-"""Policies, value functions and critics: plain networks, and the normaliser in front of them.
+"""Policies, value functions and critics: plain networks; the normaliser before them, the noise behind them.
 
 A policy's tensors are `net.<i>.weight`, `net.<i>.bias` and, with one spread for all states, `log_std`;
 `myowarp.apps.policies.learned` repeats the forward pass in NumPy.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from functools import partial
 
 import torch
@@ -29,20 +28,22 @@ GAUSSIAN_LOG_STD = (-20.0, 2.0)  # bounds of a spread that is one for all states
 HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
 CLIP, EPSILON = 5.0, 1e-8  # of normalised observations; of their standard deviation
 EXPANSION = 4  # of a residual block's inner layer
+REPEATS = 16  # largest number of control steps for which noise stays
 
 
-def perceptron(inputs: int, hidden: tuple[int, ...], outputs: int, activation: str) -> nn.Sequential:
-    """Return a multilayer perceptron."""
+def perceptron(
+    inputs: int, hidden: tuple[int, ...], outputs: int, activation: str, first: float | None = None
+) -> nn.Sequential:
+    """Return a multilayer perceptron; with `first` it returns about that in every state at first."""
     layers: list[nn.Module] = []
     for width in hidden:
         layers += [nn.Linear(inputs, width), ACTIVATION[activation]()]
         inputs = width
-    return nn.Sequential(*layers, nn.Linear(inputs, outputs))
-
-
-def products(precision: str, device: torch.device | str) -> AbstractContextManager[object]:
-    """Return the context in which products of matrices have a precision; all else stays float32."""
-    return torch.autocast(torch.device(device).type, torch.bfloat16, enabled=precision == "bfloat16")
+    last = nn.Linear(inputs, outputs)
+    if first is not None:
+        last.weight.data.mul_(FIRST_GAIN)
+        last.bias.data.fill_(first)
+    return nn.Sequential(*layers, last)
 
 
 class Normaliser(nn.Module):
@@ -94,10 +95,10 @@ class GaussianPolicy(nn.Module):
 
     def __init__(self, num_obs: int, num_actions: int, settings: Gaussian) -> None:
         super().__init__()
-        self.net = perceptron(num_obs, settings.hidden, num_actions, settings.activation)
-        self.log_std = nn.Parameter(torch.full((num_actions,), math.log(settings.initial_std)))
         self.mean_bound, mean = settings.mean_bound, settings.initial_mean
-        _soften(self.net, math.atanh(mean) if self.mean_bound == "tanh" else mean)
+        first = math.atanh(mean) if self.mean_bound == "tanh" else mean
+        self.net = perceptron(num_obs, settings.hidden, num_actions, settings.activation, first)
+        self.log_std = nn.Parameter(torch.full((num_actions,), math.log(settings.initial_std)))
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Return means, float32."""
@@ -121,8 +122,7 @@ class SquashedPolicy(nn.Module):
 
     def __init__(self, num_obs: int, num_actions: int, settings: Settings) -> None:
         super().__init__()
-        self.net = perceptron(num_obs, settings.hidden, 2 * num_actions, settings.activation)
-        _soften(self.net)
+        self.net = perceptron(num_obs, settings.hidden, 2 * num_actions, settings.activation, 0.0)
 
     def forward(self, observations: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return means of u and the logarithms of their standard deviations, float32."""
@@ -151,11 +151,10 @@ class Critics(nn.Module):
 
     def __init__(self, inputs: int, width: int, blocks: int, atoms: int) -> None:
         super().__init__()
+        inner = EXPANSION * width
         self.first = Pair(inputs, width)
         self.blocks = nn.ModuleList(
-            nn.Sequential(
-                PairNorm(width), Pair(width, EXPANSION * width), nn.ReLU(), Pair(EXPANSION * width, width)
-            )
+            nn.Sequential(PairNorm(width), Pair(width, inner), nn.ReLU(), Pair(inner, width))
             for _ in range(blocks)
         )
         self.last = nn.Sequential(PairNorm(width), Pair(width, atoms))
@@ -195,10 +194,25 @@ class PairNorm(nn.Module):
         return torch.addcmul(self.bias, nn.functional.layer_norm(x, x.shape[-1:]), self.weight)
 
 
-def _soften(net: nn.Sequential, bias: float = 0.0) -> None:
-    """Make the last layer of a policy small, so that it returns about the bias in every state."""
-    last = net[-1]
-    assert isinstance(last, nn.Linear)
-    with torch.no_grad():
-        last.weight.mul_(FIRST_GAIN)
-        last.bias.fill_(bias)
+class RepeatedNoise(nn.Module):
+    """Normal noise for each world, drawn anew after n control steps, P(n) proportional to 1 / n^2.
+
+    It moves a limb where white noise only shakes it. Source: FlashSAC, arXiv:2604.04539.
+    """
+
+    noise: torch.Tensor
+    left: torch.Tensor
+
+    def __init__(self, num_worlds: int, num_actions: int) -> None:
+        super().__init__()
+        self.register_buffer("noise", torch.zeros(num_worlds, num_actions))
+        self.register_buffer("left", torch.zeros(num_worlds, 1, dtype=torch.int64))
+        self.weights = 1.0 / torch.arange(1, REPEATS + 1, dtype=torch.float32).square()
+
+    def next(self) -> torch.Tensor:
+        """Return the noise of the next control step, shape (num_worlds, num_actions)."""
+        due = self.left == 0
+        steps = 1 + torch.multinomial(self.weights, len(due), replacement=True).to(due.device)[:, None]
+        self.left.copy_(torch.where(due, steps, self.left) - 1)
+        self.noise.copy_(torch.where(due, torch.randn_like(self.noise), self.noise))
+        return self.noise

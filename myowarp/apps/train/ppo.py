@@ -2,36 +2,62 @@
 
 Source: Schulman et al. 2017, arXiv:1707.06347, with generalised advantages, arXiv:1506.02438. Policy and
 value function have an optimiser each: a value function whose rate follows the policy's KL divergence starves.
+`examples/train_plain.py` is the same in plain torch, without what keeps, shares and captures it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import torch
 from torch import nn
 
 from myowarp.apps.rollouts.ranks import Ranks
 from myowarp.apps.train.learner import Captured, Learner, set_rate
-from myowarp.apps.train.networks import GaussianPolicy, Normaliser, perceptron
-from myowarp.apps.train.noise import RepeatedNoise
+from myowarp.apps.train.networks import GaussianPolicy, Normaliser, RepeatedNoise, perceptron
 from myowarp.apps.train.settings import OnPolicy, PPOSettings
 from myowarp.apps.train.worlds import Worlds
 
 RATE_FACTOR = 1.5  # by which a rate with an aim changes at most, an update
 
 
-@dataclass
-class Rollout:
+def advantages(
+    reward: torch.Tensor, ended: torch.Tensor, values: torch.Tensor, discount: float, decay: float
+) -> torch.Tensor:
+    """Return generalised advantages (steps, worlds); `values` (steps + 1, worlds) goes one step further.
+
+    Rewards have what would have followed a truncation; `ended` is 1 where the step ended an episode.
+    """
+    found, carried = torch.zeros_like(reward), torch.zeros_like(reward[0])
+    for t in reversed(range(len(reward))):
+        goes_on = 1.0 - ended[t]
+        error = reward[t] + discount * goes_on * values[t + 1] - values[t]
+        carried = error + discount * decay * goes_on * carried
+        found[t] = carried
+    return found
+
+
+def log_density(action: torch.Tensor, mean: torch.Tensor, std: torch.Tensor) -> torch.Tensor:
+    """Return log N(action; mean, std) up to a constant, summed over the action's entries."""
+    return -0.5 * ((action - mean).square() @ std.square().reciprocal()) - std.log().sum()
+
+
+def kl(mean: torch.Tensor, std: torch.Tensor, new_mean: torch.Tensor, new_std: torch.Tensor) -> torch.Tensor:
+    """Return the KL divergence from N(mean, std) to N(new_mean, new_std), a mean over rows."""
+    weight = 0.5 / new_std.square()
+    of_spread = (new_std.log() - std.log() + std.square() * weight - 0.5).sum()
+    return of_spread + ((mean - new_mean).square() @ weight).mean()
+
+
+class Rollout(NamedTuple):
     """Samples of an iteration, one row a sample.
 
     Attributes:
         obs: Normalised observations, shape (rows, obs_size).
         action: Actions, before they are clipped, shape (rows, num_actions).
-        mean: The policy's means, same shape.
+        mean, std: The policy's means, same shape, and standard deviations, shape (num_actions,).
         advantage: Advantages with mean 0 and deviation 1, shape (rows,).
         returns: What the value function is to say, normalised, shape (rows,).
-        std: The policy's standard deviations, shape (num_actions,).
         density: Logarithms of the actions' densities, as of `log_density`, shape (rows,).
     """
 
@@ -46,9 +72,7 @@ class Rollout:
     def parts(self, number: int) -> list[Rollout]:
         """Return the samples in so many parts of one size, drawn."""
         rows = torch.randperm(len(self.obs), device=self.obs.device)
-        columns = [
-            v[rows].chunk(number) if len(v) == len(rows) else [v] * number for v in vars(self).values()
-        ]
+        columns = [v[rows].chunk(number) if len(v) == len(rows) else [v] * number for v in self]
         return [Rollout(*values) for values in zip(*columns, strict=True)]
 
 
@@ -74,7 +98,7 @@ class OnPolicyLearner(Learner):
         self.set_rates()
         self.update(self.collect(worlds))
         self.iterations += 1
-        self.note("action_std", self.policy.std.mean())
+        self.note(action_std=self.policy.std.mean())
         return self.figures()
 
     def update(self, rollout: Rollout) -> None:
@@ -99,25 +123,24 @@ class OnPolicyLearner(Learner):
         obs = torch.empty(steps, worlds.num_worlds, worlds.num_obs, device=self.device)
         seen, (action, mean) = torch.empty_like(obs), torch.empty(2, steps, *shape, device=self.device)
         reward, ended = torch.empty(2, steps, worlds.num_worlds, device=self.device)
-        std, repeated = self.policy.std.clone(), getattr(self.settings, "noise", "white") == "repeated"
+        std, repeated = self.policy.std.clone(), self.settings.noise == "repeated"
         for t in range(steps):
             seen[t], obs[t] = worlds.obs, self.normaliser(worlds.obs)
             with self.products():
                 mean[t] = self.policy(obs[t])
-            noise = self.noise.next() if repeated else torch.randn_like(mean[t])
-            action[t] = mean[t] + std * noise
+            action[t] = mean[t] + std * (self.noise.next() if repeated else torch.randn_like(mean[t]))
             step = worlds.step(action[t])
+            reward[t], ended[t] = step.reward, step.ended.float()
             if step.truncated.any():  # the time is over, not the task: what would have followed counts
                 further = self.worth(self.normaliser(step.obs[step.truncated]))
-                step.reward[step.truncated] += self.settings.discount * further
-            reward[t], ended[t] = step.reward, step.ended.float()
+                reward[t, step.truncated] += self.settings.discount * further
         values = self.worth(torch.cat((obs, self.normaliser(worlds.obs)[None])))
         advantage = advantages(reward, ended, values, self.settings.discount, self.settings.trace_decay)
         returns = (advantage + values[:-1]).flatten()[:, None]
         self.returns.see(returns, self.ranks)
         self.normaliser.see(seen.flatten(0, 1), self.ranks)
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-        obs, action, mean = obs.flatten(0, 1), action.flatten(0, 1), mean.flatten(0, 1)
+        obs, action, mean = (each.flatten(0, 1) for each in (obs, action, mean))
         density = log_density(action, mean, std)
         return Rollout(obs, action, mean, advantage.flatten(), self.returns(returns)[:, 0], std, density)
 
@@ -127,7 +150,7 @@ class OnPolicyLearner(Learner):
             value = self.value(part.obs)
         loss = nn.functional.mse_loss(value.float()[:, 0], part.returns)
         self.descend("value", loss, self.value.parameters(), self.settings.gradient_norm)
-        self.note("value_loss", loss)
+        self.note(value_loss=loss)
 
 
 class PPO(OnPolicyLearner):
@@ -141,24 +164,20 @@ class PPO(OnPolicyLearner):
         self.optimizers["policy"] = self.adam(self.policy.net.parameters(), settings.learning_rate)
         self.optimizers["spread"] = self.adam([self.policy.log_std], settings.spread_rate)
         self.register_buffer("rate", torch.tensor(settings.learning_rate, dtype=torch.float64))
-        self._step = Captured(self, lambda *part: self._descend(Rollout(*part)))
+        self._step = Captured(self, self._descend)
 
     def update(self, rollout: Rollout) -> None:
         """Pass over the samples some times, in parts that are drawn once, as rsl_rl does."""
         if self.settings.precision == "bfloat16":
-            rollout = replace(rollout, obs=rollout.obs.bfloat16())  # once, and not in every product
-        parts = rollout.parts(self.settings.minibatches)
+            rollout = rollout._replace(obs=rollout.obs.bfloat16())  # once, and not in every product
         # A rate with an aim is the host's, and so are messages to other ranks.
         alike = not (self.value_alone or self.settings.kl or self.ranks.size > 1)
-        for part in parts * self.settings.epochs:
-            if alike:
-                self._step(*vars(part).values())
-            else:
-                self._descend(part)
+        for part in rollout.parts(self.settings.minibatches) * self.settings.epochs:
+            (self._step if alike else self._descend)(*part)
 
-    def _descend(self, part: Rollout) -> None:
-        """Do a gradient step of value function and policy on some samples."""
-        self.update_value(part)
+    def _descend(self, *samples: torch.Tensor) -> None:
+        """Do a gradient step of value function and policy on samples, the fields of a `Rollout`."""
+        self.update_value(part := Rollout(*samples))
         if not self.value_alone:
             self._update_policy(part)
 
@@ -171,51 +190,12 @@ class PPO(OnPolicyLearner):
         gain = torch.min(ratio * part.advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * part.advantage)
         loss = -gain.mean() - self.settings.entropy * std.log().sum()
         divergence = kl(part.mean, part.std, mean.detach(), std.detach())
-        if self.settings.kl:
-            self._aim(float(self.ranks.mean(divergence)) / part.action.shape[1])
+        if self.settings.kl:  # the rate follows the divergence an entry of the action
+            aims = float(self.ranks.mean(divergence)) / part.action.shape[1] / self.settings.kl
+            rate = self.rate * RATE_FACTOR ** (-1 if aims > 2.0 else 1 if aims < 0.5 else 0)
+            self.rate.copy_(rate.clamp(self.settings.least_rate, self.settings.largest_rate))
+            set_rate(self.optimizers["policy"], float(self.rate))
         self.optimizers["spread"].zero_grad()
         self.descend("policy", loss, self.policy.parameters(), self.settings.gradient_norm)
         self.optimizers["spread"].step()
-        self.note("policy_loss", loss)
-        self.note("kl", divergence)
-
-    def _aim(self, divergence: float) -> None:
-        """Let the policy's rate follow the KL divergence an entry of the action."""
-        aim, settings = self.settings.kl, self.settings
-        power = -1 if divergence > 2.0 * aim else 1 if divergence < 0.5 * aim else 0
-        rate = (self.rate * RATE_FACTOR**power).clamp(settings.least_rate, settings.largest_rate)
-        self.rate.copy_(rate)
-        set_rate(self.optimizers["policy"], float(rate))
-
-
-def advantages(
-    reward: torch.Tensor, ended: torch.Tensor, values: torch.Tensor, discount: float, decay: float
-) -> torch.Tensor:
-    """Return generalised advantages, shape (steps, worlds).
-
-    Args:
-        reward: Rewards, what would have followed a truncation included, shape (steps, worlds).
-        ended: 1 where the step ended an episode, same shape.
-        values: Values before each step and after the last one, shape (steps + 1, worlds).
-        discount: Of rewards.
-        decay: Lambda.
-    """
-    found, carried = torch.zeros_like(reward), torch.zeros_like(reward[0])
-    for t in reversed(range(len(reward))):
-        goes_on = 1.0 - ended[t]
-        error = reward[t] + discount * goes_on * values[t + 1] - values[t]
-        carried = error + discount * decay * goes_on * carried
-        found[t] = carried
-    return found
-
-
-def log_density(action: torch.Tensor, mean: torch.Tensor, std: torch.Tensor) -> torch.Tensor:
-    """Return log N(action; mean, std) up to a constant, summed over the action's entries."""
-    return -0.5 * ((action - mean).square() @ std.square().reciprocal()) - std.log().sum()
-
-
-def kl(mean: torch.Tensor, std: torch.Tensor, new_mean: torch.Tensor, new_std: torch.Tensor) -> torch.Tensor:
-    """Return the KL divergence from N(mean, std) to N(new_mean, new_std), a mean over rows."""
-    weight = 0.5 / new_std.square()
-    of_spread = (new_std.log() - std.log() + std.square() * weight - 0.5).sum()
-    return of_spread + ((mean - new_mean).square() @ weight).mean()
+        self.note(policy_loss=loss, kl=divergence)

@@ -9,8 +9,8 @@ import signal
 import threading
 import time
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,17 +18,18 @@ from rich.console import Console
 
 from myowarp.apps.policies import checkpoint
 from myowarp.apps.policies.checkpoint import BEST, LEARNER, POLICY, CheckpointError, eval_command, versions
+from myowarp.apps.reports.curve import draw_curve
 from myowarp.apps.reports.evaluation import SUCCESSES
-from myowarp.apps.train.machine import Stopwatch, check_replay, processor
-from myowarp.apps.train.plan import Job, held, last_saved, task_name
+from myowarp.apps.reports.machine import Stopwatch, processor
+from myowarp.apps.train.plan import Job, held, last_saved
 from myowarp.apps.train.selection import Selection
 from myowarp.definitions.condition import Condition
+from myowarp.definitions.task import TaskSpec
 from myowarp.disk import in_place, plain
 from myowarp.tasks.setups import variant_of
 
 if TYPE_CHECKING:
     from myowarp.apps.train.loop import Run
-    from myowarp.apps.train.progress import Progress
     from myowarp.bridge_gym import MyoWarpVectorEnv
 
 REPORT = "report.json"
@@ -59,12 +60,11 @@ def train(job: Job, console: Console | None = None) -> dict[str, Any]:
         console.quiet = True
     with held(job):
         with job.ranks.together(job.ranks.device(job.setup.device)):
-            run = start(job)
-            selection = Selection(job)
-            reason = iterate(job, run, selection, console)
+            run, selection = start(job), Selection(job)
+            reason = _iterate(job, run, selection, console)
             run.env.close()
             selection.close()
-        report = _report(job, run, selection, reason, watch)
+        report = _report(job, run, selection, reason) | {k: round(v, 2) for k, v in watch.read().items()}
         if job.ranks.leads:
             with _written(job, "report"):
                 _publish(job, report, console)
@@ -80,25 +80,22 @@ def start(job: Job) -> Run:
     import torch
 
     from myowarp.apps.train.loop import Run
-    from myowarp.apps.train.replay import replay_bytes
+    from myowarp.apps.train.replay import check_replay, replay_bytes
 
-    settings, ranks = job.settings, job.ranks
-    torch.set_num_threads(settings.threads)
+    torch.set_num_threads(job.settings.threads)
     env = _environment(job, job.checkpoint.manifest["samples"] if job.checkpoint else 0)
     if job.parent is not None:
         checkpoint.check_contract(job.parent, env.sim)
     obs, actions = env.sim.transition.obs.shape[1], env.sim.action.shape[1]
-    check_replay(replay_bytes(settings, obs, actions), job.folder)
-    run = Run(env, settings, job.parent, job.start, ranks)
+    check_replay(replay_bytes(job.settings, obs, actions), job.folder)
+    run = Run(env, job.settings, job.parent, job.start, job.ranks)
     if job.checkpoint is not None:
         checkpoint.check_contract(job.checkpoint, env.sim, learning=True)
         try:
             run.restore(job.checkpoint)
         except (KeyError, RuntimeError, ValueError) as error:
-            reason = " ".join(str(error).split())
-            raise CheckpointError(
-                f"checkpoint {str(job.checkpoint.folder)!r} cannot be resumed: {reason}"
-            ) from error
+            reason, folder = " ".join(str(error).split()), str(job.checkpoint.folder)
+            raise CheckpointError(f"checkpoint {folder!r} cannot be resumed: {reason}") from error
     return run
 
 
@@ -106,61 +103,51 @@ def _environment(job: Job, samples: int) -> MyoWarpVectorEnv:
     """Return this rank's worlds, under the physics that the run has after a number of samples."""
     from myowarp.bridge_gym import MyoWarpVectorEnv
 
-    ranks, physics = job.ranks, _physics(job, samples)
-    setup = dataclasses.replace(
-        job.setup, physics=physics, device=ranks.device(job.setup.device), rank=ranks.part
-    )
+    ranks, here = job.ranks, {"physics": _physics(job, samples), "rank": job.ranks.part}
+    setup = dataclasses.replace(job.setup, device=ranks.device(job.setup.device), **here)
     number = ranks.share("--num-worlds", job.settings.num_worlds)
     return MyoWarpVectorEnv(setup, number, autoreset_mode="disabled", output="torch", copy=False)
 
 
 def _physics(job: Job, samples: int) -> str | None:
     """Return the physics that a run has after a number of samples."""
-    after = job.settings.parity_after
-    return "parity" if 0 < after <= samples else job.setup.physics
+    return "parity" if 0 < job.settings.parity_after <= samples else job.setup.physics
 
 
-def iterate(job: Job, run: Run, selection: Selection, console: Console) -> str:
-    """Iterate until something ends the run; returns what.
-
-    Raises:
-        DivergedError: A loss or a weight was not finite; the last good checkpoint is there.
-        FaultyTaskError: No world of the task can be stepped.
-        OSError: A checkpoint or figures could not be written; the last good checkpoint is there.
-    """
+def _iterate(job: Job, run: Run, selection: Selection, console: Console) -> str:
+    """Iterate until something ends the run; returns what."""
     from myowarp.apps.train.loop import DivergedError
+    from myowarp.apps.train.progress import Progress
 
     settings, ranks = job.settings, job.ranks
-    _note_versions(job, console)
+    then, now = job.checkpoint.manifest["versions"] if job.checkpoint else {}, versions()
+    for name in (name for name in then.keys() & now.keys() if then[name] != now[name]):
+        text = f"{name} was {then[name]}, is {now[name]}: the run goes on, not bit for bit"
+        console.print(text, style="yellow")
     if job.checkpoint is None:
         _save(job, run, selection)  # whatever happens from here on, the run can go on
     over = f" over {ranks.size} ranks" if ranks.size > 1 else ""
     console.print(
-        f"{job.asked.task}: {job.algorithm}, {settings.num_worlds} worlds{over} under "
+        f"{job.asked.task}: {settings.algorithm}, {settings.num_worlds} worlds{over} under "
         f"{run.env.sim.setup.physics} physics"
         f"{f', from {settings.parent}' if settings.parent else ''}, into {job.folder}"
     )
-    saved, taken = time.monotonic(), 0.0
-    with (
-        _stop_asked() as asked,
-        _written(job, "figures"),
-        _progress(job, run, console) as progress,
-        warnings.catch_warnings(),
-    ):
+    saved, taken, progress = time.monotonic(), 0.0, None
+    with ExitStack() as stack:
+        asked = stack.enter_context(_stop_asked())
+        stack.enter_context(_written(job, "figures"))
+        if ranks.leads:
+            told = _settings(job, run) if job.wandb else None
+            progress = Progress(job.folder, settings.samples, console, after=run.samples, wandb=told)
+            stack.enter_context(progress)
+        stack.enter_context(warnings.catch_warnings())
         warnings.filterwarnings("ignore", ".* was reset after a fault")  # the environment's; see below
         while True:
             every = max(job.save_seconds, SAVE_COST * taken) if job.save_seconds else 0.0
             due = time.monotonic() - saved >= every
             # Signals and clocks differ from rank to rank; what to do may not.
             stop, save = map(any, zip(*ranks.everyones((asked(), due)), strict=True))
-            if stop:
-                reason = STOPPED
-            elif _succeeds(run, selection):
-                reason = f"{100 * settings.stop_success:.1f} % {SUCCESSES[settings.stop_rule]}"
-            elif run.samples >= settings.samples:
-                reason = "all samples"
-            else:
-                reason = ""
+            reason = STOPPED if stop else _end(run, selection)
             if reason or save:
                 if progress:
                     progress.flush()
@@ -182,142 +169,54 @@ def iterate(job: Job, run: Run, selection: Selection, console: Console) -> str:
                     f"{error}; the last good checkpoint is in {job.folder}, {advice}"
                 ) from error
             for kind in run.faults[said:]:
-                console.print(
-                    f"worlds of {job.asked.task} ended by a fault, with reward 0: {kind}", style="yellow"
-                )
-            found = _select(job, run, selection)
+                text = f"worlds of {job.asked.task} ended by a fault, with reward 0: {kind}"
+                console.print(text, style="yellow")
+            if selection.is_due(run.samples):
+                _select(job, run, selection, console)
             if progress:
-                progress.add(run.row() | found)
+                progress.add(run.row() | selection.figures())
 
 
-@contextmanager
-def _progress(job: Job, run: Run, console: Console) -> Iterator[Progress | None]:
-    """Open the files and the live line of a run, on the rank that logs."""
-    from myowarp.apps.train.progress import Progress
+def _end(run: Run, selection: Selection) -> str:
+    """Return what ends a run by itself, "" where nothing does: success of the last selection, or samples.
 
-    if not job.ranks.leads:
-        yield None
-        return
-    with Progress(job.folder, job.settings.samples, console, after=run.samples) as progress:
-        if job.wandb:
-            progress.start_wandb(job.folder.name, _settings(job, run))
-        yield progress
-
-
-@contextmanager
-def _stop_asked() -> Iterator[Any]:
-    """Turn the first Ctrl-C or SIGTERM into a wish; a second one acts as ever.
-
-    Yields:
-        A function that returns whether one came.
+    Without selections the success is that of the training.
     """
-    came: list[int] = []
+    settings, last = run.settings, selection.last
+    if settings.selections:
+        reached = last is not None and last.success >= settings.stop_success
+    else:
+        reached = run.worlds.tally.reached(settings.stop_success, settings.stop_rule)
+    if reached:
+        return f"{100 * settings.stop_success:.1f} % {SUCCESSES[settings.stop_rule]}"
+    return "all samples" if run.samples >= settings.samples else ""
+
+
+@contextmanager
+def _stop_asked() -> Iterator[Callable[[], bool]]:
+    """Yield whether Ctrl-C or SIGTERM came; the first one is a wish, a second one acts as ever."""
+    came: list[bool] = []
     if threading.current_thread() is not threading.main_thread():
         yield lambda: False
         return
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
-    def put_back() -> None:
+    def note(*_: object) -> None:
+        came.append(True)
         for number, handler in before.items():
             signal.signal(number, handler)
 
-    def note(number: int, frame: object) -> None:
-        came.append(number)
-        put_back()
-
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     for number in before:
         signal.signal(number, note)
     try:
         yield lambda: bool(came)
     finally:
-        put_back()
-
-
-def _note_versions(job: Job, console: Console) -> None:
-    """Say if packages are not those that wrote the checkpoint that is resumed."""
-    if job.checkpoint is None:
-        return
-    before, now = job.checkpoint.manifest["versions"], versions()
-    for name in before.keys() & now.keys():
-        if before[name] != now[name]:
-            console.print(
-                f"{name} was {before[name]}, is {now[name]}: the run goes on, not bit for bit", style="yellow"
-            )
-
-
-def _settings(job: Job, run: Run) -> dict[str, Any]:
-    """Return the settings and what was said of the environment, side by side; the other way: `divided`."""
-    return dataclasses.asdict(run.settings) | job.asked.plain() | {"muscle": job.setup.muscles.model}
-
-
-def _succeeds(run: Run, selection: Selection) -> bool:
-    """Whether enough episodes succeed to stop: of the last selection, or of the training without any."""
-    settings = run.settings
-    if not settings.selections:
-        return run.worlds.tally.reached(settings.stop_success, settings.stop_rule)
-    return selection.last is not None and selection.last.success >= settings.stop_success
-
-
-def _save(job: Job, run: Run, selection: Selection) -> None:
-    """Write a checkpoint, with the worlds of all ranks.
-
-    Raises:
-        OSError: It cannot be written; the one before is still there.
-    """
-    manifest, policy, state = manifest_of(job, run, selection), run.average.arrays(), run.arrays()
-    if job.ranks.leads:
-        with _written(job, f"checkpoint after {run.samples} samples"):
-            checkpoint.save_checkpoint(job.folder, run.samples, manifest, policy, state)
-
-
-def _select(job: Job, run: Run, selection: Selection) -> dict[str, float]:
-    """Evaluate the average policy where that is due, and keep it if it is the best; returns its figures.
-
-    Raises:
-        OSError: It cannot be written; the best one before is still there.
-    """
-    if not selection.is_due(run.samples):
-        return selection.figures()
-    manifest, policy = manifest_of(job, run, selection), run.average.arrays()
-    if selection.evaluate(run.samples, manifest, policy) and job.ranks.leads:
-        manifest |= {"selection": plain(selection.manifest())}
-        with _written(job, f"the best policy, after {run.samples} samples"):
-            checkpoint.save_checkpoint(job.folder, run.samples, manifest, policy, root=BEST)
-    return selection.figures()
-
-
-def manifest_of(job: Job, run: Run, selection: Selection) -> dict[str, Any]:
-    """Return what a checkpoint is."""
-    # A model's file was read at the start, and may be gone by now.
-    from_file = isinstance(job.asked.task, Path)
-    task = job.setup.spec.key if from_file else job.asked.task
-    variant, asked = variant_of(dataclasses.replace(job.asked, task=task)), job.asked.conditions or ()
-    objects = [condition.name for condition in asked if isinstance(condition, Condition)]
-    manifest = {
-        "task": task_name(job.asked),
-        "model": from_file,
-        "reset": variant.reset,
-        "conditions": [*variant.conditions, *objects],
-        "algorithm": job.algorithm,
-        "learner": LEARNER,
-        "contract": checkpoint.task_contract(run.env.sim),
-        "settings": _settings(job, run),
-        "versions": versions(),
-        "parent": _origin(job),
-        "files_read": job.files_read,
-        "selection": selection.manifest(),
-        **run.manifest(),
-    }
-    return dict(plain(manifest))
+        note()
 
 
 @contextmanager
 def _written(job: Job, what: str) -> Iterator[None]:
-    """Let what cannot be written end the run with a sentence.
-
-    Raises:
-        OSError: Something could not be written; the last good checkpoint is there.
-    """
+    """Let what cannot be written end the run with a sentence, an OSError."""
     try:
         yield
     except OSError as error:
@@ -330,6 +229,61 @@ def _written(job: Job, what: str) -> Iterator[None]:
         ) from error
 
 
+def _save(job: Job, run: Run, selection: Selection) -> None:
+    """Write a checkpoint, with the worlds of all ranks; where it cannot be, the one before is still there."""
+    manifest, policy, state = manifest_of(job, run, selection), run.average.arrays(), run.arrays()
+    if job.ranks.leads:
+        with _written(job, f"checkpoint after {run.samples} samples"):
+            checkpoint.save_checkpoint(job.folder, run.samples, manifest, policy, state)
+
+
+def _select(job: Job, run: Run, selection: Selection, console: Console) -> None:
+    """Evaluate the average policy, and keep it if it is the best."""
+    manifest, policy, before = manifest_of(job, run, selection), run.average.arrays(), selection.last
+    if selection.evaluate(run.samples, manifest, policy) and job.ranks.leads:
+        manifest |= {"selection": plain(selection.manifest())}
+        with _written(job, f"the best policy, after {run.samples} samples"):
+            checkpoint.save_checkpoint(job.folder, run.samples, manifest, policy, root=BEST)
+    if sentence := selection.stall(before):
+        console.print(sentence, style="yellow")
+
+
+def manifest_of(job: Job, run: Run, selection: Selection) -> dict[str, Any]:
+    """Return what a checkpoint is."""
+    # A model's file was read at the start, and may be gone by now.
+    from_file = isinstance(job.asked.task, Path)
+    task = job.setup.spec.key if from_file else job.asked.task
+    variant, asked = variant_of(dataclasses.replace(job.asked, task=task)), job.asked.conditions or ()
+    objects = [condition.name for condition in asked if isinstance(condition, Condition)]
+    manifest = {
+        "task": _task(job),
+        "model": from_file,
+        "reset": variant.reset,
+        "conditions": [*variant.conditions, *objects],
+        "algorithm": job.settings.algorithm,
+        "learner": LEARNER,
+        "contract": checkpoint.task_contract(run.env.sim),
+        "settings": _settings(job, run),
+        "versions": versions(),
+        "parent": _origin(job),
+        "files_read": job.files_read,
+        "selection": selection.manifest(),
+        **run.manifest(),
+    }
+    return dict(plain(manifest))
+
+
+def _settings(job: Job, run: Run) -> dict[str, Any]:
+    """Return the settings and what was said of the environment, side by side; the other way: `divided`."""
+    return dataclasses.asdict(run.settings) | job.asked.plain() | {"muscle": job.setup.muscles.model}
+
+
+def _task(job: Job) -> str:
+    """Return the task as a manifest says it; what a specification changes is in the contract."""
+    task = job.asked.task
+    return task.key if isinstance(task, TaskSpec) else str(task)
+
+
 def _origin(job: Job) -> dict[str, Any] | None:
     """Return which policy a run started from: its task, samples and file."""
     if job.checkpoint is not None:
@@ -340,12 +294,12 @@ def _origin(job: Job) -> dict[str, Any] | None:
     return {"task": job.parent.task, "samples": manifest["samples"], **manifest["files"][POLICY]}
 
 
-def _report(job: Job, run: Run, selection: Selection, reason: str, watch: Stopwatch) -> dict[str, Any]:
-    """Return what came out."""
+def _report(job: Job, run: Run, selection: Selection, reason: str) -> dict[str, Any]:
+    """Return what came out, but for the time that the process took."""
     clock = run.worlds.clock
     return {
-        "task": task_name(job.asked),
-        "algorithm": job.algorithm,
+        "task": _task(job),
+        "algorithm": job.settings.algorithm,
         "seed": job.setup.seed,
         "ranks": job.ranks.size,
         "physics": job.setup.physics,
@@ -354,7 +308,6 @@ def _report(job: Job, run: Run, selection: Selection, reason: str, watch: Stopwa
         "samples": run.samples,
         "updates": run.updates,
         "resumed_after": job.checkpoint.manifest["samples"] if job.checkpoint else 0,
-        **{name: round(value, 2) for name, value in watch.read().items()},
         "processor": processor(),
         "cores": os.cpu_count(),
         "training_seconds": round(clock.total, 1),
@@ -367,11 +320,9 @@ def _report(job: Job, run: Run, selection: Selection, reason: str, watch: Stopwa
 
 def _publish(job: Job, report: dict[str, Any], console: Console) -> None:
     """Write a report, draw the curve, and print what came out."""
-    from myowarp.apps.train.progress import draw_curve
-
     with in_place(job.folder / REPORT) as scratch:
         scratch.write_text(json.dumps(plain(report), indent=1) + "\n")
-    curve = draw_curve(job.folder, f"{job.asked.task}, {job.algorithm}, seed {job.setup.seed}")
+    curve = draw_curve(job.folder, f"{job.asked.task}, {job.settings.algorithm}, seed {job.setup.seed}")
     share = f"{100 * report['success']:.1f} %" if report["episodes"] else "none"
     console.print(
         f"Ended after {report['samples']:,} samples in {report['seconds']:.1f} s: {report['ended']}; of the "

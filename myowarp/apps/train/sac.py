@@ -23,8 +23,7 @@ from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from myowarp.apps.rollouts.ranks import Ranks
 from myowarp.apps.train.learner import Captured, Learner
-from myowarp.apps.train.networks import Critics, SquashedPolicy
-from myowarp.apps.train.noise import RepeatedNoise
+from myowarp.apps.train.networks import Critics, RepeatedNoise, SquashedPolicy
 from myowarp.apps.train.replay import Replay
 from myowarp.apps.train.settings import SACSettings
 from myowarp.apps.train.worlds import Worlds
@@ -79,7 +78,7 @@ class SAC(Learner):
             )
             if worlds.steps >= self.settings.random_steps and self.replay.filled >= self.settings.batch_size:
                 self._update()
-        self.note("entropy_weight", self.log_temperature.detach().exp())
+        self.note(entropy_weight=self.log_temperature.exp())
         return self.figures()
 
     @torch.no_grad()
@@ -125,7 +124,7 @@ class SAC(Learner):
             logits = self.critics(obs, action)
         loss = -(target * logits.log_softmax(dim=-1)).sum(dim=-1).mean(dim=-1).sum()
         self.descend("critics", loss)
-        self.note("critic_loss", loss)
+        self.note(critic_loss=loss)
 
     def _update_policy(self, obs: torch.Tensor) -> None:
         """Move the policy towards higher values, and the temperature towards its entropy."""
@@ -140,8 +139,7 @@ class SAC(Learner):
         entropy = -log_density.detach().mean()
         wanted = self.settings.target_entropy * action.shape[1]
         self.descend("temperature", self.log_temperature * (entropy - wanted))
-        self.note("policy_loss", loss)
-        self.note("entropy", entropy / action.shape[1])
+        self.note(policy_loss=loss, entropy=entropy / action.shape[1])
 
 
 class RewardScale(nn.Module):

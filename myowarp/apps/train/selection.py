@@ -18,8 +18,9 @@ from rich.console import Console
 from myowarp.apps.policies.checkpoint import Checkpoint
 from myowarp.apps.policies.learned import LearnedPolicy
 from myowarp.apps.reports.evaluation import evaluate
-from myowarp.apps.train.plan import Job
+from myowarp.apps.train.plan import Job, shown
 from myowarp.definitions.condition import Condition
+from myowarp.definitions.option import flag
 from myowarp.sim.simulation import Simulation
 
 EPISODES = 128
@@ -51,9 +52,7 @@ class Selection:
 
     def __init__(self, job: Job) -> None:
         """Go on with what a resumed run has found."""
-        manifest: dict[str, Any] = {"samples": 0, "selection": {}}
-        if job.checkpoint:
-            manifest = job.checkpoint.manifest
+        manifest = job.checkpoint.manifest if job.checkpoint else {"samples": 0, "selection": {}}
         found = {name: Score(**score) for name, score in manifest["selection"].items() if score}
         self.best, self.last = found.get("best"), found.get("last")
         self._job, self._taken = job, manifest["samples"]
@@ -63,22 +62,39 @@ class Selection:
         """Whether an evaluation falls between the samples of the last call and these."""
         settings, before = self._job.settings, self._taken
         self._taken = samples
-        parts = (number * settings.selections // settings.samples for number in (before, samples))
-        return next(parts) < next(parts)
+        return (
+            before * settings.selections // settings.samples
+            < samples * settings.selections // settings.samples
+        )
 
     def evaluate(self, samples: int, manifest: Mapping[str, Any], policy: Mapping[str, np.ndarray]) -> bool:
         """Evaluate a policy; returns whether it is the best one so far."""
-        job = self._job
+        job, quiet = self._job, Console(quiet=True)
         if self._sim is None:
             self._sim = self._build()
         act = LearnedPolicy(Checkpoint(job.folder, dict(manifest), dict(policy)))
-        quiet = Console(quiet=True)
         figures = dataclasses.asdict(evaluate(self._sim, act, console=quiet, ranks=job.ranks))
         self.last = Score(samples, figures[job.settings.stop_rule], figures["return_mean"])
         if self.best and (self.best.success, self.best.returns) >= (self.last.success, self.last.returns):
             return False
         self.best = self.last
         return True
+
+    def stall(self, before: Score | None) -> str:
+        """Return a sentence where none was better for half of the budget now, and `before` for less; else ""."""
+        settings, best, last = self._job.settings, self.best, self.last
+        if not (best and last and before) or best.success == 1.0:
+            return ""
+        if not before.samples - best.samples < settings.samples / 2 <= last.samples - best.samples:
+            return ""
+        own = {entry.name: entry.default for entry in dataclasses.fields(settings)}
+        changed = {name: value for name, value in vars(settings).items() if value != own[name]}
+        tried = " ".join(f"{flag(name)} {shown(value)}" for name, value in changed.items())
+        return (
+            f"for half of the budget nothing was better than {100.0 * best.success:.1f} % after "
+            f"{best.samples:,} samples; tried was {settings.algorithm} {tried}; change a setting, add --bonus or "
+            f"--start-share, or search around the best with `myowarp improve {self._job.folder}`"
+        )
 
     def _build(self) -> Simulation:
         """Return this rank's worlds."""
@@ -97,10 +113,8 @@ class Selection:
 
     def manifest(self) -> dict[str, Any]:
         """Return what a checkpoint says of the evaluations."""
-        return {
-            name: score and dataclasses.asdict(score)
-            for name, score in (("best", self.best), ("last", self.last))
-        }
+        scores = {"best": self.best, "last": self.last}
+        return {name: score and dataclasses.asdict(score) for name, score in scores.items()}
 
     def close(self) -> None:
         """End the worlds."""

@@ -12,12 +12,12 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from myowarp.apps.policies.form import ACTIVATIONS, MEAN_BOUNDS
 from myowarp.apps.reports.evaluation import SUCCESSES
 from myowarp.apps.train import bonus
-from myowarp.definitions.option import checked, flag, option
+from myowarp.definitions.option import checked, flag, option, other
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.setup import OPTIONS, Setup
 
@@ -29,6 +29,8 @@ TRAINING = Setup(physics="fast", muscle="mujoco", seed=0)  # unless the preset o
 @dataclass(frozen=True, kw_only=True)
 class Settings:
     """Settings of every algorithm."""
+
+    algorithm: ClassVar[str]
 
     samples: int = option(3_000_000, "Control steps of all worlds together.", least=1, free=True)
     stop_success: float = option(
@@ -55,7 +57,7 @@ class Settings:
     )
     cohort: str = option("", "Patient table; every patient has as many worlds; empty: one body for all.")
     start: str = option(
-        "", "State file (`State.save`): episodes start in its worlds, with their goals; empty: resets."
+        "", "State file (`State.save`) that episodes start in, with its goals; empty: resets."
     )
     start_share: float = option(
         0.0,
@@ -76,12 +78,8 @@ class Settings:
     precision: str = option(
         "auto", "Of matrix products; auto: bfloat16 where the processor multiplies it.", choices=PRECISIONS
     )
-    discount: float = option(
-        0.97, "Discount of rewards from a control step to the next.", least=0.0, most=1.0
-    )
-    hidden: tuple[int, ...] = option(
-        (128, 128), "Widths of the hidden layers of policy and value function.", least=1, most=16384
-    )
+    discount: float = option(0.97, "Discount of rewards a control step.", least=0.0, most=1.0)
+    hidden: tuple[int, ...] = option((128, 128), "Widths of the hidden layers.", least=1, most=16384)
     activation: str = option("elu", "Function between the layers.", choices=ACTIVATIONS)
     last_rate: float = option(
         0.5, "Share of all learning rates at the end; they fall along half a cosine.", least=0.0, most=1.0
@@ -93,7 +91,7 @@ class Settings:
 
 @dataclass(frozen=True, kw_only=True)
 class Gaussian(Settings):
-    """Settings of PPO, TRPO and DAgger: one spread for all states."""
+    """Settings of PPO, TRPO, DAgger and improve: one spread for all states."""
 
     initial_std: float = option(0.5, "Spread of actions at the start, with a parent, too.", least=1e-3)
     initial_mean: float = option(
@@ -110,7 +108,7 @@ class Gaussian(Settings):
 class OnPolicy(Gaussian):
     """Settings of PPO and TRPO."""
 
-    num_worlds: int = option(512, "Worlds simulated together.", least=1)
+    num_worlds: int = other(Settings, "num_worlds", 512)
     trace_decay: float = option(0.95, "Lambda of generalised advantage estimation.", least=0.0, most=1.0)
     epochs: int = option(5, "Passes over the samples in an update.", least=1)
     minibatches: int = option(4, "Parts of a pass.", least=1)
@@ -118,6 +116,7 @@ class OnPolicy(Gaussian):
     value_first: int = option(
         0, "Iterations at the start in which the value function alone learns, with a parent.", least=0
     )
+    noise: str = option("white", "Of actions: white, or repeated for up to 16 steps.", choices=NOISES)
     gradient_norm: float = option(1.0, "Norm to which gradients are clipped; 0: not at all.", least=0.0)
 
 
@@ -125,25 +124,24 @@ class OnPolicy(Gaussian):
 class PPOSettings(OnPolicy):
     """Proximal policy optimisation."""
 
+    algorithm = "ppo"
     clip: float = option(0.2, "Clip of the ratio of probabilities.", least=0.0)
     kl: float = option(
-        0.0, "KL an entry of the action that the policy's rate aims at, 3e-4 say; 0: no aim.", least=0.0
+        0.0, "KL an action entry that the policy's rate aims at, 3e-4 say; 0: none.", least=0.0
     )
     least_rate: float = option(1e-5, "Smallest learning rate with an aim.", least=0.0)
     largest_rate: float = option(1e-2, "Largest learning rate with an aim.", least=0.0)
     spread_rate: float = option(1e-3, "Learning rate of the spread of actions at the start.", least=0.0)
-    noise: str = option("white", "Of actions: white, or repeated for up to 16 steps.", choices=NOISES)
     entropy: float = option(0.0, "Weight of the entropy.", least=0.0)
     learning_rate: float = option(1e-3, "Learning rate of Adam at the start.", least=0.0)
-    last_rate: float = option(
-        0.1, "Share of all learning rates at the end; they fall along half a cosine.", least=0.0, most=1.0
-    )
+    last_rate: float = other(Settings, "last_rate", 0.1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TRPOSettings(OnPolicy):
     """Trust region policy optimisation, a natural gradient with a line search."""
 
+    algorithm = "trpo"
     max_kl: float = option(0.02, "Largest KL divergence of an update.", least=1e-9)
     damping: float = option(0.1, "Damping of the Fisher matrix.", least=0.0)
     conjugate_steps: int = option(10, "Steps of the conjugate gradient.", least=1)
@@ -151,7 +149,7 @@ class TRPOSettings(OnPolicy):
 
 @dataclass(frozen=True, kw_only=True)
 class Replaying(Settings):
-    """Settings of SAC and DAgger: a memory of samples."""
+    """Settings of SAC, DAgger and improve: a memory of samples."""
 
     learning_rate: float = option(3e-4, "Learning rate of Adam at the start.", least=0.0)
     batch_size: int = option(512, "Samples of a gradient step.", least=1)
@@ -163,7 +161,8 @@ class Replaying(Settings):
 class SACSettings(Replaying):
     """Soft actor-critic with categorical critics and repeated noise."""
 
-    num_worlds: int = option(64, "Worlds simulated together.", least=1)
+    algorithm = "sac"
+    num_worlds: int = other(Settings, "num_worlds", 64)
     random_steps: int = option(160, "Control steps of every world with random actions.", least=0)
     target_rate: float = option(0.01, "Rate at which target networks follow.", least=0.0, most=1.0)
     temperature: float = option(0.01, "Weight of the entropy at the start; it is learned.", least=1e-9)
@@ -178,41 +177,38 @@ class SACSettings(Replaying):
 class DAggerSettings(Gaussian, Replaying):
     """Imitation of an expert in the states that the policy itself leads to."""
 
+    algorithm = "dagger"
     expert: str = option("muscle-control", "Policy that is imitated, by its name as in `rollout --policy`.")
-    expert_steps: int = option(
-        100, "Control steps of every world, at the start, in which the expert acts.", least=1
+    expert_steps: int = option(100, "First control steps of every world, in which the expert acts.", least=1)
+    initial_std: float = other(
+        Gaussian,
+        "initial_std",
+        0.1,
+        "Spread of the noise; a third of the worlds has none, a third half of it.",
     )
-    initial_std: float = option(
-        0.1, "Spread of the noise; a third of the worlds has none, a third half of it.", least=1e-3
-    )
-    learning_rate: float = option(5e-4, "Learning rate of Adam at the start.", least=0.0)
-    gradient_steps: int = option(16, "Gradient steps after each control step of the worlds.", least=1)
-    replay: int = option(262_144, "Samples in the replay memory; a checkpoint holds them.", least=1)
+    learning_rate: float = other(Replaying, "learning_rate", 5e-4)
+    gradient_steps: int = other(Replaying, "gradient_steps", 16)
+    replay: int = other(Replaying, "replay", 262_144)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImproveSettings(Gaussian, Replaying):
     """A search by particles around a policy, and imitation of what succeeded."""
 
+    algorithm = "improve"
     expert: str = option("", "Policy that the search is around; empty: the parent, as it improves.")
     copies: int = option(32, "Worlds that begin in the same state.", least=2)
     keep: int = option(2, "Copies of a state that are copied over the others.", least=1)
     every: int = option(10, "Control steps from one copying to the next.", least=1)
-    num_worlds: int = option(1024, "Worlds simulated together, a multiple of --copies.", least=1)
-    initial_std: float = option(0.8, "Spread of the noise, which lasts and precedes the tanh.", least=1e-3)
-    learning_rate: float = option(1e-4, "Learning rate of Adam at the start.", least=0.0)
-    gradient_steps: int = option(500, "Gradient steps after each search.", least=1)
-    average: float = option(
-        0.5, "Weight of what was before in the policy's average, an iteration.", least=0.0, most=0.9999
-    )
+    num_worlds: int = other(Settings, "num_worlds", 1024, "Worlds together, a multiple of --copies.")
+    initial_std: float = other(Gaussian, "initial_std", 0.8, "Spread of the noise, before the tanh.")
+    learning_rate: float = other(Replaying, "learning_rate", 1e-4)
+    gradient_steps: int = other(Replaying, "gradient_steps", 500, "Gradient steps after each search.")
+    average: float = other(Settings, "average", 0.5)
 
 
 ALGORITHMS: dict[str, type[Settings]] = {
-    "ppo": PPOSettings,
-    "trpo": TRPOSettings,
-    "sac": SACSettings,
-    "dagger": DAggerSettings,
-    "improve": ImproveSettings,
+    kind.algorithm: kind for kind in (PPOSettings, TRPOSettings, SACSettings, DAggerSettings, ImproveSettings)
 }
 RENAMED = {"flashsac": "sac"}
 RECORDED = TypeVar("RECORDED", bound=Settings)
@@ -232,12 +228,7 @@ def all_settings() -> dict[str, dataclasses.Field[Any]]:
 
 
 def preset(name: str, algorithm: str) -> dict[str, Any]:
-    """Return the settings that a task's preset changes; none for a task without preset.
-
-    Args:
-        name: Name of the task without version.
-        algorithm: Key in `ALGORITHMS`; its table follows what the preset says for all.
-    """
+    """Return what the preset of a task, named without version, changes for an algorithm; maybe nothing."""
     table = _preset_table(name)
     shared = {key: value for key, value in table.items() if not isinstance(value, dict)}
     shared.pop("algorithm", None)
@@ -271,7 +262,7 @@ def choose(name: str, algorithm: str, given: Mapping[str, Any]) -> Settings:
     check_choice("algorithm", algorithm, ALGORITHMS)
     known = settings_of(ALGORITHMS[algorithm])
     for key in (key for key in given if key not in known):
-        owners = [other for other, kind in ALGORITHMS.items() if key in settings_of(kind)]
+        owners = [owner for owner, kind in ALGORITHMS.items() if key in settings_of(kind)]
         there = (
             f"it belongs to {' and '.join(owners)}" if owners else f"available: {', '.join(sorted(known))}"
         )

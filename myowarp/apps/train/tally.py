@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from myowarp.apps.reports.evaluation import SUCCESSES
+from myowarp.apps.train.arrays import Arrays
 
 WINDOW = 256  # episodes that figures cover
 COLUMNS = ("return", "length", *SUCCESSES)  # of an episode
@@ -19,38 +20,34 @@ class Tally:
     """Running returns, and the last episodes that ended.
 
     Attributes:
+        worlds: Of the episodes that run, each (num_worlds,): `tally.return`, `tally.length` and `tally.any`,
+            whether a step was solved.
         episodes: Episodes that ended so far.
     """
 
-    def __init__(self, num_worlds: int, device: str) -> None:
+    def __init__(self, num_worlds: int, device: torch.device | str) -> None:
         kinds = {"return": torch.float64, "length": torch.float64, "any": torch.bool}
-        self._worlds = {
-            name: torch.zeros(num_worlds, dtype=kind, device=device) for name, kind in kinds.items()
-        }
+        self.worlds = {f"tally.{n}": torch.zeros(num_worlds, dtype=kinds[n], device=device) for n in kinds}
         self._new: list[np.ndarray] = []
         self._last: deque[np.ndarray] = deque(maxlen=WINDOW)
         self.episodes = 0
 
     def add(self, reward: torch.Tensor, ended: torch.Tensor, any_ended: bool, info: dict[str, Any]) -> None:
         """Count one control step of all worlds."""
-        now = self._worlds
-        now["return"] += reward
-        now["length"] += 1.0
-        now["any"] |= info["solved"]
+        total, length, solved = self.worlds.values()
+        total += reward
+        length += 1.0
+        solved |= info["solved"]
         if any_ended:
-            columns = (now["return"], now["length"], info["success"], info["solved"], now["any"])
+            columns = (total, length, info["success"], info["solved"], solved)
             rows = [column[ended].double() for column in columns]
             self._new.append(torch.stack(rows, dim=1).cpu().numpy())
             self.forget(ended)
 
-    def forget(self, worlds: torch.Tensor) -> None:
+    def forget(self, mask: torch.Tensor) -> None:
         """Begin anew in the worlds of a mask."""
-        for column in self._worlds.values():
-            column[worlds] = 0
-
-    def copy(self, rows: torch.Tensor) -> None:
-        """Give every world the numbers of another one."""
-        self._worlds = {name: column[rows] for name, column in self._worlds.items()}
+        for column in self.worlds.values():
+            column[mask] = 0
 
     def take(self) -> np.ndarray:
         """Return the episodes that ended since the last call, shape (episodes, columns)."""
@@ -72,18 +69,12 @@ class Tally:
         """Return whether this share of a full window succeeded, by one of the rules `SUCCESSES`."""
         return len(self._last) == WINDOW and self.figures()[rule] >= share
 
-    def rows(self) -> dict[str, np.ndarray]:
-        """Return the numbers of the worlds."""
-        return {f"tally.{name}": column.cpu().numpy().copy() for name, column in self._worlds.items()}
-
-    def arrays(self) -> dict[str, np.ndarray]:
+    def arrays(self) -> Arrays:
         """Return the numbers of the episodes that ended."""
         last = np.array(self._last, dtype=np.float64).reshape(-1, len(COLUMNS))
         return {"tally.last": last, "tally.episodes": np.array([self.episodes])}
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Put all numbers back."""
-        for name, column in self._worlds.items():
-            column.copy_(torch.from_numpy(arrays[f"tally.{name}"].copy()))
+        """Put them back."""
         self._last = deque(arrays["tally.last"], maxlen=WINDOW)
         self.episodes = int(arrays["tally.episodes"][0])

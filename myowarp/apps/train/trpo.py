@@ -35,6 +35,9 @@ class TRPO(OnPolicyLearner):
         parameters = [*self.policy.parameters()]
         before = nn.utils.parameters_to_vector(parameters).detach()
 
+        def flat(tensors: tuple[torch.Tensor, ...]) -> torch.Tensor:
+            return torch.cat([tensor.reshape(-1) for tensor in tensors])
+
         def gain() -> torch.Tensor:
             now = log_density(rollout.action, self.policy(rollout.obs), self.policy.std)
             return ((now - rollout.density).exp() * rollout.advantage).mean()
@@ -43,12 +46,12 @@ class TRPO(OnPolicyLearner):
             return kl(rollout.mean, rollout.std, self.policy(rollout.obs), self.policy.std)
 
         def curvature(vector: torch.Tensor) -> torch.Tensor:
-            slope = _flat(torch.autograd.grad(divergence(), parameters, create_graph=True))
-            product = _flat(torch.autograd.grad(slope @ vector, parameters))
+            slope = flat(torch.autograd.grad(divergence(), parameters, create_graph=True))
+            product = flat(torch.autograd.grad(slope @ vector, parameters))
             return product + self.settings.damping * vector
 
         begin = gain()
-        slope = _flat(torch.autograd.grad(begin, parameters))
+        slope = flat(torch.autograd.grad(begin, parameters))
         direction = conjugate_gradient(curvature, slope, self.settings.conjugate_steps)
         length = (2.0 * self.settings.max_kl / (direction @ curvature(direction) + 1e-8)).sqrt()
         promised = slope @ (length * direction)
@@ -61,8 +64,7 @@ class TRPO(OnPolicyLearner):
                     break
             else:
                 nn.utils.vector_to_parameters(before, parameters)
-        self.note("policy_loss", -begin)
-        self.note("kl", divergence())
+        self.note(policy_loss=-begin, kl=divergence())
 
 
 def conjugate_gradient(
@@ -80,8 +82,3 @@ def conjugate_gradient(
             break
         direction = residual + square / before * direction
     return x
-
-
-def _flat(tensors: tuple[torch.Tensor, ...]) -> torch.Tensor:
-    """Return tensors one behind the other."""
-    return torch.cat([tensor.reshape(-1) for tensor in tensors])

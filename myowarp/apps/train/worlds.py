@@ -6,9 +6,9 @@ reset by mask. A learner's reward may have terms that the task's has not (`--bon
 
 from __future__ import annotations
 
-import dataclasses
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -16,6 +16,7 @@ import numpy as np
 import torch
 
 from myowarp.apps.train import bonus
+from myowarp.apps.train.arrays import Arrays, below, put, taken
 from myowarp.apps.train.starts import Backplay, without_keys
 from myowarp.apps.train.tally import Tally
 from myowarp.bridge_gym import MyoWarpVectorEnv
@@ -31,13 +32,9 @@ class FaultyTaskError(RuntimeError):
 
 @dataclass
 class Clock:
-    """Seconds spent in parts of a run.
+    """Seconds of a run: in simulation, in learning, in all of its iterations, and of all cores in these.
 
-    Attributes:
-        simulation: In control steps and resets.
-        learner: In actions and updates.
-        total: In iterations; what other work on the same cores took is part of it.
-        cpu: Of all cores, in iterations; what other work on the same cores took is no part of it.
+    Other work on the same cores is part of `total`, and no part of `cpu`.
     """
 
     simulation: float = 0.0
@@ -82,6 +79,7 @@ class Worlds:
         env: Environment without autoreset, with views of the simulation as tensors.
         obs: What is observed now, shape (num_worlds, obs_size).
         tally: Returns and successes.
+        backplay: States that episodes start in; None: none do.
         clock: Where the time went, earlier processes of a resumed run included.
         steps: Control steps of every world so far.
         kinds: Faults that worlds had in this process, in words by bits.
@@ -103,20 +101,18 @@ class Worlds:
             start_share: Share of the episodes that start on the way of an earlier success.
         """
         self.env, self._start, self._bonus = env, start, dict(weights or {})
-        self.device = torch.device(str(env.sim.scene.device))
-        self.num_worlds = env.num_envs
+        self.device, self.num_worlds = torch.device(str(env.sim.scene.device)), env.num_envs
         self.num_obs, self.num_actions = env.sim.transition.obs.shape[1], env.sim.action.shape[1]
-        self.tally, self.clock = Tally(env.num_envs, str(self.device)), Clock()
-        self.steps = 0
+        self.tally, self.clock = Tally(env.num_envs, self.device), Clock()
+        self.steps = self._faulty_steps = 0
         self.kinds: dict[int, str] = {}
-        self._faulty_steps = 0
         obs, _ = env.reset(seed=env.sim.setup.seed or 0)
         if start is not None:
             rows = (env.sim.scene.worlds.offset + np.arange(env.num_envs)) % len(start)
             # Each episode has random numbers of its own, and draws its patients and noise anew.
             self._start = State(start.task, without_keys(start[rows]))
             obs = env.set_state(self._start, conditions=False)
-        self._backplay = Backplay(env, start_share) if start_share else None
+        self.backplay = Backplay(env, start_share) if start_share else None
         self.obs = obs.clone()
 
     def step(self, action: torch.Tensor) -> Step:
@@ -125,50 +121,42 @@ class Worlds:
         Raises:
             FaultyTaskError: All worlds have had faults for a while.
         """
-        begin = time.perf_counter()
-        obs, reward, terminated, truncated, info = self.env.step(action)
-        ends = terminated.clone(), truncated & ~terminated
-        step = Step(obs.clone(), reward.clone(), *ends, info["success"].clone())
-        ended = step.ended
-        any_ended = bool(ended.any())
-        self.tally.add(reward, ended, any_ended, info)
-        for name, weight in self._bonus.items():
-            step.reward.add_(bonus.value(name, info, self.env.sim.scene.spec), alpha=weight)
-        if self._backplay:
-            self._backplay.see(self.env, step.success.cpu().numpy(), ended.cpu().numpy())
-        if any_ended:
-            self._note_faults(info["fault"].cpu().numpy())
-            obs = self._restart(ended.cpu().numpy())
-        else:
-            self._faulty_steps = 0
-        self.obs.copy_(obs)
-        self.steps += 1
-        self.clock.simulation += time.perf_counter() - begin
+        with self._simulating():
+            obs, reward, terminated, truncated, info = self.env.step(action)
+            ends = terminated.clone(), truncated & ~terminated
+            step = Step(obs.clone(), reward.clone(), *ends, info["success"].clone())
+            ended = step.ended
+            any_ended = bool(ended.any())
+            self.tally.add(reward, ended, any_ended, info)
+            for name, weight in self._bonus.items():
+                step.reward.add_(bonus.value(name, info, self.env.sim.scene.spec), alpha=weight)
+            if self.backplay:
+                self.backplay.see(self.env, step.success.cpu().numpy(), ended.cpu().numpy())
+            if any_ended:
+                self._note_faults(info["fault"].cpu().numpy())
+                obs = self._restart(ended.cpu().numpy())
+            else:
+                self._faulty_steps = 0
+            self.obs.copy_(obs)
+            self.steps += 1
         return step
 
     def restart(self) -> None:
         """Begin a new episode in every world."""
-        begin = time.perf_counter()
-        everywhere = np.ones(self.num_worlds, dtype=bool)
-        self.tally.forget(torch.from_numpy(everywhere).to(self.device))
-        if self._backplay:
-            self._backplay.forget()
-        self.obs.copy_(self._restart(everywhere))
-        self.clock.simulation += time.perf_counter() - begin
+        with self._simulating():
+            self.tally.forget(torch.ones(self.num_worlds, dtype=torch.bool, device=self.device))
+            if self.backplay:
+                self.backplay.forget()
+            self.obs.copy_(self._restart(np.ones(self.num_worlds, dtype=bool)))
 
     def copy(self, rows: torch.Tensor) -> None:
-        """Make every world what another one is; random numbers to come stay its own.
-
-        Args:
-            rows: The other world, shape (num_worlds,).
-        """
-        begin, others = time.perf_counter(), rows.cpu().numpy()
-        state = self.env.get_state()[others]
-        self.obs.copy_(self.env.set_state(State(state.task, without_keys(state)), conditions=False))
-        self.tally.copy(rows)
-        if self._backplay:
-            self._backplay.copy(others)
-        self.clock.simulation += time.perf_counter() - begin
+        """Make every world what another one is, shape (num_worlds,); random numbers to come stay its own."""
+        with self._simulating():
+            others = rows.cpu().numpy()
+            for values in self._own().values():
+                values[...] = values[others]
+            state = self.env.get_state()[others]
+            self.obs.copy_(self.env.set_state(State(state.task, without_keys(state)), conditions=False))
 
     def move(self, env: MyoWarpVectorEnv) -> None:
         """Let the worlds go on, as they are, in another environment of the task; the one before is closed."""
@@ -177,47 +165,54 @@ class Worlds:
         self.env = env
         env.set_state(state)
 
-    def rows(self) -> dict[str, np.ndarray]:
+    def rows(self) -> Arrays:
         """Return what the worlds are, one row a world, by name."""
         state = {f"world.{name}": array for name, array in self.env.get_state().arrays.items()}
-        state |= self._backplay.rows() if self._backplay else {}
-        return state | {"observation": self.obs.cpu().numpy().copy()} | self.tally.rows()
+        return state | taken(self._own())
 
-    def arrays(self) -> dict[str, np.ndarray]:
+    def arrays(self) -> Arrays:
         """Return what belongs to no world: episodes that ended, and states to start from."""
-        return self.tally.arrays() | (self._backplay.arrays() if self._backplay else {})
+        return self.tally.arrays() | (self.backplay.arrays() if self.backplay else {})
 
-    def restore(self, rows: Mapping[str, np.ndarray], steps: int, clock: Mapping[str, float]) -> None:
-        """Put the worlds back.
+    def restore(self, arrays: Mapping[str, np.ndarray], steps: int, clock: Mapping[str, float]) -> None:
+        """Put the worlds back, with what `rows` and `arrays` returned.
 
         Raises:
             KeyError: An array is missing.
             ValueError: An array does not fit.
         """
-        prefix = "world."
-        state = {name.removeprefix(prefix): a for name, a in rows.items() if name.startswith(prefix)}
-        self.env.set_state(State(self.env.sim.scene.spec.key, state))
-        self.obs.copy_(torch.from_numpy(np.array(rows["observation"])))
-        self.tally.restore(rows)
-        if self._backplay:
-            self._backplay.restore(rows)
-        self.steps = steps
-        self.clock = Clock(**{f.name: clock[f.name] for f in dataclasses.fields(Clock)})
+        self.env.set_state(State(self.env.sim.scene.spec.key, below(arrays, "world.")))
+        put(self._own(), arrays)
+        self.tally.restore(arrays)
+        if self.backplay:
+            self.backplay.restore(arrays)
+        self.steps, self.clock = steps, Clock(**{name: clock[name] for name in vars(Clock())})
+
+    def _own(self) -> dict[str, torch.Tensor | np.ndarray]:
+        """Return what a world has besides its state, one row a world."""
+        return {
+            "observation": self.obs,
+            **self.tally.worlds,
+            **(self.backplay.notes if self.backplay else {}),
+        }
+
+    @contextmanager
+    def _simulating(self) -> Iterator[None]:
+        """Let the time of the block be that of the simulation."""
+        begin = time.perf_counter()
+        yield
+        self.clock.simulation += time.perf_counter() - begin
 
     def _restart(self, mask: np.ndarray) -> torch.Tensor:
         """Begin new episodes in the worlds of a mask; returns observations of all worlds."""
         obs, _ = self.env.reset(options={"reset_mask": mask})
         if self._start is not None:
             obs = self.env.set_state(self._start[mask], mask, conditions=False)
-        placed = self._backplay.place(self.env, mask) if self._backplay else None
+        placed = self.backplay.place(self.env, mask) if self.backplay else None
         return obs if placed is None else placed
 
     def _note_faults(self, bits: np.ndarray) -> None:
-        """Remember what kinds of faults worlds had in the last step.
-
-        Raises:
-            FaultyTaskError: All worlds have had one for a while.
-        """
+        """Remember what kinds of faults worlds had in the last step, and whether any had none."""
         for kind in set(bits[bits != 0].tolist()) - self.kinds.keys():
             self.kinds[kind] = self.env.sim.describe_fault(int(np.argmax(bits == kind)))
         self._faulty_steps = self._faulty_steps + 1 if bits.all() else 0

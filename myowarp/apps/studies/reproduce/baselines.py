@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from myowarp.apps.policies.baselines import CURVE, FOLDER, baseline_tasks, load_baseline
+from myowarp.apps.reports.curve import CSV
 from myowarp.apps.reports.result import PERCENT, Merit
 from myowarp.apps.reports.table import read_numbers
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab
 from myowarp.apps.studies.reproduce.policies import Training
-from myowarp.apps.train.progress import CSV
 from myowarp.kernels.episode import MYOSUITE
 
 if TYPE_CHECKING:

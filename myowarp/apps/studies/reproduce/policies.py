@@ -127,7 +127,6 @@ def retrained(training: Training, setup: Setup, folder: Path, console: Console, 
     job = Job(
         asked=asked,
         setup=complete(asked),
-        algorithm=training.algorithm,
         settings=settings,
         folder=folder,
         checkpoint=checkpoint,

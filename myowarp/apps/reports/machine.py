@@ -2,13 +2,8 @@
 
 import os
 import platform
-import shutil
 import time
 from pathlib import Path
-
-from myowarp.disk import existing
-
-COPIES = 2  # of a replay at once, in memory and on disk, while it is saved
 
 
 def processor() -> str:
@@ -57,24 +52,3 @@ class Stopwatch:
         wall, own, busy, stolen = (after - before for after, before in zip(now, self._begin, strict=True))
         others = max(0.0, busy - own) + stolen if busy else 0.0
         return {"seconds": wall, "cpu_seconds": own, "cores_busy_with_others": others / max(wall, 1e-9)}
-
-
-def check_replay(size: int, folder: Path) -> None:
-    """Raise a clear error now if this machine cannot hold and save a replay.
-
-    A save copies it once more, and the last checkpoint stays until the new one is whole.
-
-    Args:
-        size: Of the replay [B].
-        folder: Where checkpoints go; it may not exist yet.
-
-    Raises:
-        ValueError: There is not enough memory or disk.
-    """
-    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    for what, there in (("memory", memory), ("disk", shutil.disk_usage(existing(folder)).free)):
-        if (needed := COPIES * size) > there:
-            raise ValueError(
-                f"--replay needs {needed / 1e9:.1f} GB of {what} to be kept and saved, this machine has "
-                f"{there / 1e9:.1f} GB; choose a smaller --replay"
-            )
