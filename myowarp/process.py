@@ -9,6 +9,7 @@ import contextlib
 import functools
 import logging
 import os
+import signal
 import sys
 import tempfile
 import threading
@@ -56,6 +57,28 @@ def with_build_lock(build: Callable[P, R]) -> Callable[P, R]:
 def warn_once(message: str) -> None:
     """Log a message, the first time only."""
     logger.warning(message)
+
+
+@contextlib.contextmanager
+def stop_asked() -> Iterator[Callable[[], bool]]:
+    """Yield whether Ctrl-C or SIGTERM came; the first one is a wish, a second one acts as ever."""
+    came: list[bool] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: False
+        return
+
+    def note(*_: object) -> None:
+        came.append(True)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    for number in before:
+        signal.signal(number, note)
+    try:
+        yield lambda: bool(came)
+    finally:
+        note()
 
 
 def check_on_cpu(what: str, device: object) -> None:

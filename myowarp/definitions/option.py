@@ -46,7 +46,7 @@ def option(
 
 
 def other(of: Any, name: str, default: Any, text: str = "") -> Any:
-    """Return an option of another class with a default of its own, and a text where it means something else."""
+    """Return an option of another class with another default, and a text where it means something else."""
     told = {entry.name: entry for entry in fields(of)}[name].metadata
     return field(default=default, metadata={**told, "text": text or told["text"]})
 

@@ -21,11 +21,11 @@ from myowarp.apps.cli import train as command
 from myowarp.apps.cli.options import Said
 from myowarp.apps.cli.rollout import Rollout
 from myowarp.apps.policies import checkpoint as checkpoints
-from myowarp.apps.policies.checkpoint import eval_command
+from myowarp.apps.policies.checkpoint import eval_command, resume_command
 from myowarp.apps.policies.learned import LearnedPolicy, read_policy
 from myowarp.apps.reports.evaluation import evaluate
 from myowarp.apps.reports.intervals import wilson
-from myowarp.apps.train.plan import held, plan, resume_command
+from myowarp.apps.train.plan import held, plan
 from myowarp.apps.train.run import start, train
 from myowarp.apps.train.settings import ALGORITHMS, choose, preset_algorithm
 from myowarp.bridge_gym import MyoWarpVectorEnv

@@ -331,7 +331,7 @@ def test_the_rate_follows_the_divergence_of_an_entry_of_the_action(divergence, f
         assert figures["kl"] == pytest.approx(OUTPUTS * divergence * aim, rel=1e-3)
         assert learner.rate.item() == pytest.approx(2e-3 * factor)
         assert figures["learning_rate"] == pytest.approx(2e-3 * factor)  # what was stepped with
-        learner.set_rates()  # a new iteration goes on with the rate that was found
+        learner.set_rates(0.0)  # a new iteration goes on with the rate that was found
         learner._update_policy(shifted(learner, np.sqrt(2 * aim)))
         assert learner.figures()["learning_rate"] == pytest.approx(2e-3 * factor)
 
@@ -348,8 +348,7 @@ def test_the_rate_stays_within_its_bounds():
 def test_rates_fall_along_half_a_cosine(algorithm):
     learner = small(algorithm, last_rate=0.25, **({} if algorithm == "ppo" else KEPT))
     for share in (0.0, 0.3, 0.5, 1.0, 1.7):
-        learner.share = share
-        learner.set_rates()
+        learner.set_rates(share)
         factor = 0.25 + 0.75 * (1.0 + np.cos(np.pi * min(share, 1.0))) / 2.0
         for optimizer in learner.optimizers.values():
             (group,) = optimizer.param_groups

@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import errno
+import io
 import json
 import os
 import signal
@@ -10,6 +11,7 @@ import signal
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from rich.console import Console
 
 from myowarp.apps.policies import checkpoint as checkpoints
 from myowarp.apps.policies.checkpoint import BEST, STATE, find_folder, load_checkpoint
@@ -113,6 +115,23 @@ def test_the_last_selection_stops_a_run(scripted, tmp_path):
     )
     assert report["success"] != report["success"]  # no episode of the training has ended
     assert load_checkpoint(tmp_path).manifest["samples"] == 4 * ITERATION
+
+
+@pytest.mark.parametrize(("later", "sentences"), [(0.25, 1), (0.75, 0)])
+def test_a_run_that_gets_no_better_for_half_of_its_budget_says_so_once(later, sentences, scripted, tmp_path):
+    """The best of six evaluations is the first, or the fourth; half of the budget are three of them."""
+    wanted, _ = scripted
+    wanted += [(0.5, 1.0), (0.25, 1.0), (0.25, 1.0), (later, 1.0), (0.25, 1.0), (0.25, 1.0)]
+    console = Console(file=io.StringIO(), width=1000)
+    train(plan(ELBOW, output=tmp_path, bonus=("solved=2",), **SMALL), console)
+    said = [
+        line for line in console.file.getvalue().splitlines() if line.startswith("for half of the budget")
+    ]
+    assert len(said) == sentences
+    for line in said:
+        assert f"nothing was better than 50.0 % after {2 * ITERATION} samples; tried was ppo" in line
+        assert "--num-worlds 8 --rollout-steps 8 --bonus solved=2" in line
+        assert line.endswith(f"`myowarp improve {tmp_path}`")
 
 
 def test_the_rule_that_stops_is_the_one_that_selects(scripted, tmp_path):

@@ -90,6 +90,14 @@ def eval_command(asked: Setup, folder: Path | str) -> str:
     return f"myowarp {shlex.join(['eval', str(folder), *file])}"
 
 
+def resume_command(asked: Setup, folder: Path, ranks: int) -> str:
+    """Return what a shell is told to go on with a run, which its checkpoint says."""
+    start = f"torchrun --nproc-per-node {ranks} -m myowarp" if ranks > 1 else "myowarp"
+    model = ["--model"] if isinstance(asked.task, Path) else []
+    file = [*model, str(asked.task)] if is_file(asked) else []
+    return f"{start} {shlex.join(['train', *file, '--resume', str(folder)])}"
+
+
 def trained_setup(manifest: Mapping[str, Any]) -> Setup:
     """Return what a checkpoint's policy was trained in, as its user said it."""
     task = Path(manifest["task"]) if manifest["model"] else manifest["task"]
@@ -264,6 +272,14 @@ def find_folder(path: Path, *, learning: bool = False) -> Path:
     raise CheckpointError(
         f"{str(path)!r} holds no checkpoint; a run's folder has {FOLDER}/<samples>/{MANIFEST}"
     )
+
+
+def last_saved(folder: Path) -> Path | None:
+    """Return the last checkpoint in the folder of a run; None if there is none."""
+    try:
+        return find_folder(folder, learning=True)
+    except CheckpointError:
+        return None
 
 
 def load_checkpoint(path: Path, *, learning: bool = False) -> Checkpoint:

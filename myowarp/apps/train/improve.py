@@ -12,15 +12,11 @@ the best episodes as in Oh et al. 2018, arXiv:1806.05635.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-import numpy as np
 import torch
 
 from myowarp.apps.rollouts.ranks import Ranks
-from myowarp.apps.train.dagger import Expert, advice_of
-from myowarp.apps.train.learner import Learner
-from myowarp.apps.train.networks import GaussianPolicy, RepeatedNoise
+from myowarp.apps.train.dagger import Imitation
+from myowarp.apps.train.networks import RepeatedNoise
 from myowarp.apps.train.replay import Replay
 from myowarp.apps.train.settings import ImproveSettings
 from myowarp.apps.train.worlds import Worlds
@@ -28,24 +24,14 @@ from myowarp.apps.train.worlds import Worlds
 MOST = 0.99  # size of an expert's action that is the hyperbolic tangent of an output
 
 
-class Improve(Learner):
-    """A policy that imitates the best of what it nearly does.
-
-    Attributes:
-        expert: What the search is around, as in `DAgger`; None: the policy itself.
-    """
+class Improve(Imitation):
+    """A policy that imitates the best of what it, or an expert, nearly does."""
 
     settings: ImproveSettings
-    policy: GaussianPolicy
-    replay: Replay
-    expert: Expert | None = None
 
     def __init__(self, settings: ImproveSettings, worlds: Worlds, ranks: Ranks) -> None:
         super().__init__(settings, worlds, ranks)
-        self.policy = GaussianPolicy(worlds.num_obs, worlds.num_actions, settings)
-        self.noise = RepeatedNoise(worlds.num_worlds, worlds.num_actions)
-        self.to(self.device)
-        self.optimizers = {"policy": self.adam(self.policy.net.parameters(), settings.learning_rate)}
+        self.noise = RepeatedNoise(worlds.num_worlds, worlds.num_actions).to(self.device)
         horizon = worlds.env.sim.horizon
         rows = settings.replay // horizon * horizon  # whole episodes
         if not rows:
@@ -54,26 +40,19 @@ class Improve(Learner):
             )
         self.replay = Replay(rows, self.device, obs=worlds.num_obs, output=worlds.num_actions)
 
-    def inherit(self, parent: Mapping[str, np.ndarray], samples: int, count: int) -> None:
-        """Start from the means of another policy, also of one whose spread depends on the state."""
-        arrays, last = dict(parent), max(int(n.split(".")[1]) for n in parent if n.startswith("net."))
-        number = self.policy.log_std.shape[0]
-        for name in (f"net.{last}.weight", f"net.{last}.bias"):
-            arrays[name] = arrays[name][:number]  # what follows are logarithms of spreads
-        super().inherit(arrays, samples, count)
-
-    def iterate(self, worlds: Worlds) -> dict[str, float]:
+    def iterate(self, worlds: Worlds) -> None:
         """Search for one episode of every start, keep what succeeded, and fit the network to all that did."""
-        self.set_rates()
         obs, output, success = self._search(worlds)
         self.note(solved_starts=success.any(dim=1).float().mean())
         first = torch.arange(len(success), device=self.device) * success.shape[1]
         best = first + success.float().argmax(dim=1)
         for world in best[success.any(dim=1)].tolist():
             self.replay.add(obs=obs[:, world], output=output[:, world])
-        if self.replay.filled:
-            self._fit()
-        return self.figures()
+        for _ in range(self.settings.gradient_steps if self.replay.filled else 0):
+            batch = self.replay.draw(self.settings.batch_size)
+            if self.expert is not None:  # else the parent's normaliser stays, and with it the policy
+                self.normaliser.see(batch["obs"])
+            self.fit(self.policy.net, self.normaliser(batch["obs"]), batch["output"])
 
     @torch.no_grad()
     def _search(self, worlds: Worlds) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -114,20 +93,8 @@ class Improve(Learner):
         if self.expert is None:
             with self.products():
                 return self.policy.net(self.normaliser(obs)).float()
-        action = advice_of(self.expert, obs, MOST)
+        action = self.advice(obs, MOST)
         return action.atanh() if self.policy.mean_bound == "tanh" else action
-
-    def _fit(self) -> None:
-        """Do the gradient steps of an iteration."""
-        for _ in range(self.settings.gradient_steps):
-            batch = self.replay.draw(self.settings.batch_size)
-            if self.expert is not None:  # else the parent's normaliser stays, and with it the policy
-                self.normaliser.see(batch["obs"])
-            with self.products():
-                output = self.policy.net(self.normaliser(batch["obs"])).float()
-            loss = (output - batch["output"]).square().mean()
-            self.descend("policy", loss)
-            self.note(policy_loss=loss)
 
 
 def _choice(score: torch.Tensor, keep: int) -> torch.Tensor:

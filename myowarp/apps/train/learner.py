@@ -33,7 +33,6 @@ class Learner(nn.Module):
         normaliser: Of its observations.
         optimizers: By name.
         replay: Samples that are used more than once; None: none.
-        share: How much of the run's samples has been taken, from 0 to 1.
         noted: Figures since the last iteration, by name.
     """
 
@@ -46,11 +45,10 @@ class Learner(nn.Module):
         super().__init__()
         self.settings, self.device, self.ranks = settings, worlds.device, ranks
         self.normaliser = Normaliser(worlds.num_obs).to(self.device)
-        self.share = 0.0
         self.noted: dict[str, list[torch.Tensor]] = {}
 
-    def iterate(self, worlds: Worlds) -> dict[str, float]:
-        """Do one iteration: control steps, and the updates that belong to them; returns figures by name."""
+    def iterate(self, worlds: Worlds) -> None:
+        """Do one iteration: control steps, and the updates that belong to them."""
         raise NotImplementedError
 
     def products(self) -> AbstractContextManager[object]:
@@ -67,12 +65,12 @@ class Learner(nn.Module):
         group = {"params": list(parameters), "lr": first, "first_rate": rate}
         return torch.optim.AdamW([group], weight_decay=decay, fused=True, capturable=captured)
 
-    def set_rates(self) -> None:
-        """Let all rates of learning fall along half a cosine, as the run goes on."""
+    def set_rates(self, share: float) -> None:
+        """Let all rates of learning fall along half a cosine, over the share of samples that is taken."""
         last = self.settings.last_rate
-        share = last + (1.0 - last) * 0.5 * (1.0 + math.cos(math.pi * min(self.share, 1.0)))
+        factor = last + (1.0 - last) * 0.5 * (1.0 + math.cos(math.pi * min(share, 1.0)))
         for optimizer in self.optimizers.values():
-            set_rate(optimizer, share * optimizer.param_groups[0]["first_rate"])
+            set_rate(optimizer, factor * optimizer.param_groups[0]["first_rate"])
 
     def descend(
         self, name: str, loss: torch.Tensor, clipped: Iterable[nn.Parameter] = (), norm: float = 0.0
@@ -99,20 +97,19 @@ class Learner(nn.Module):
             means["learning_rate"] = float(self.optimizers["policy"].param_groups[0]["lr"])
         return means
 
-    def is_finite(self) -> bool:
-        """Return whether every weight is finite."""
-        return bool(torch.stack([p.detach().sum() for p in self.parameters()]).isfinite().all())
-
     def inherit(self, parent: Mapping[str, np.ndarray], samples: int, count: int) -> None:
         """Start from the policy of another run, with a spread and a value function of this one.
+
+        Of a policy whose spread depends on the state, the first outputs are the means.
 
         Args:
             parent: Arrays of that policy.
             samples: Samples that its normaliser of observations has seen.
             count: Samples as which they count here, few enough for the new task's to outweigh them soon.
         """
-        own = self.policy.state_dict()
-        self.policy.load_state_dict({k: v if k == "log_std" else tensor(parent[k]) for k, v in own.items()})
+        own = self.policy.state_dict().items()
+        theirs = {name: v if name == "log_std" else tensor(parent[name])[: len(v)] for name, v in own}
+        self.policy.load_state_dict(theirs)
         mean, variance = parent["observation_mean"], parent["observation_variance"]
         # A column that never changed, such as a fixed goal, has weights that nothing trained, and no more
         # variance than a normaliser starts with: that of one sample beside the mean 0.

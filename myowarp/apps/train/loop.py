@@ -17,7 +17,7 @@ from myowarp.apps.reports.machine import multiplies_bfloat16
 from myowarp.apps.rollouts.ranks import ALONE, Ranks
 from myowarp.apps.train import bonus
 from myowarp.apps.train.arrays import Arrays, below, put
-from myowarp.apps.train.dagger import DAgger
+from myowarp.apps.train.dagger import DAgger, Imitation
 from myowarp.apps.train.improve import Improve
 from myowarp.apps.train.learner import OF_RANKS, Average, Learner
 from myowarp.apps.train.ppo import PPO
@@ -107,8 +107,10 @@ class Run:
             FaultyTaskError: All worlds have had faults for a while.
         """
         clock, begin, cpu = self.worlds.clock, time.perf_counter(), time.process_time()
-        simulation, self.learner.share = clock.simulation, self.samples / self.settings.samples
-        losses, tally = self.learner.iterate(self.worlds), self.worlds.tally
+        simulation, learner, tally = clock.simulation, self.learner, self.worlds.tally
+        learner.set_rates(self.samples / self.settings.samples)
+        learner.iterate(self.worlds)
+        losses = learner.figures()
         clock.learner += time.perf_counter() - begin - (clock.simulation - simulation)
         self.average.follow()
         self.updates += 1
@@ -121,7 +123,8 @@ class Run:
         clock.total += time.perf_counter() - begin
         clock.cpu += time.process_time() - cpu
         wrong = [name.replace("_", " ") for name, value in self.losses.items() if not math.isfinite(value)]
-        if wrong or not self.learner.is_finite():
+        finite = torch.stack([weights.detach().sum() for weights in learner.parameters()]).isfinite().all()
+        if wrong or not finite:
             raise DivergedError(f"{[*wrong, 'a weight'][0]} was not finite in update {self.updates}")
 
     def move(self, env: MyoWarpVectorEnv) -> None:
@@ -131,7 +134,7 @@ class Run:
 
     def _let_expert_act(self) -> None:
         """Bind the expert of an imitation to the environment."""
-        if isinstance(self.learner, DAgger | Improve) and self.learner.settings.expert:
+        if isinstance(self.learner, Imitation) and self.learner.settings.expert:
             sim = self.env.sim
             self.learner.expert = acting(find_policy(self.learner.settings.expert, sim.scene.spec), sim)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
-import shlex
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -15,7 +14,14 @@ import numpy as np
 
 from myowarp.apps.policies import checkpoint as checkpoints
 from myowarp.apps.policies.baselines import policy_folder
-from myowarp.apps.policies.checkpoint import Checkpoint, CheckpointError, is_file, trained_setup
+from myowarp.apps.policies.checkpoint import (
+    Checkpoint,
+    CheckpointError,
+    is_file,
+    last_saved,
+    resume_command,
+    trained_setup,
+)
 from myowarp.apps.policies.find import find_policy
 from myowarp.apps.policies.learned import read_policy
 from myowarp.apps.rollouts.ranks import ALONE, Ranks
@@ -72,14 +78,6 @@ class Job:
     def resume_command(self) -> str:
         """The command that goes on with the run."""
         return resume_command(self.asked, self.folder, self.ranks.size)
-
-
-def resume_command(asked: Setup, folder: Path, ranks: int) -> str:
-    """Return what a shell is told to go on with a run, which its checkpoint says."""
-    start = f"torchrun --nproc-per-node {ranks} -m myowarp" if ranks > 1 else "myowarp"
-    model = ["--model"] if isinstance(asked.task, Path) else []
-    file = [*model, str(asked.task)] if is_file(asked) else []
-    return f"{start} {shlex.join(['train', *file, '--resume', str(folder)])}"
 
 
 def check_packages() -> None:
@@ -158,14 +156,6 @@ def occupied(folder: Path) -> bool:
         with locked(folder / LOCK, wait=False):
             pass
     return folder.is_dir() and any(file.name != LOCK for file in folder.iterdir())
-
-
-def last_saved(folder: Path) -> Path | None:
-    """Return the last checkpoint in the folder of a run; None if there is none."""
-    try:
-        return checkpoints.find_folder(folder, learning=True)
-    except CheckpointError:
-        return None
 
 
 @contextmanager

@@ -93,13 +93,11 @@ class OnPolicyLearner(Learner):
         self.to(self.device)
         self.optimizers = {"value": self.adam(self.value.parameters(), settings.value_rate)}
 
-    def iterate(self, worlds: Worlds) -> dict[str, float]:
+    def iterate(self, worlds: Worlds) -> None:
         """Act for some control steps, and learn from them."""
-        self.set_rates()
         self.update(self.collect(worlds))
         self.iterations += 1
         self.note(action_std=self.policy.std.mean())
-        return self.figures()
 
     def update(self, rollout: Rollout) -> None:
         """Change policy and value function."""

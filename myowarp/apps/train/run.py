@@ -5,11 +5,9 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-import signal
-import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,15 +15,24 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from myowarp.apps.policies import checkpoint
-from myowarp.apps.policies.checkpoint import BEST, LEARNER, POLICY, CheckpointError, eval_command, versions
+from myowarp.apps.policies.checkpoint import (
+    BEST,
+    LEARNER,
+    POLICY,
+    CheckpointError,
+    eval_command,
+    last_saved,
+    versions,
+)
 from myowarp.apps.reports.curve import draw_curve
 from myowarp.apps.reports.evaluation import SUCCESSES
 from myowarp.apps.reports.machine import Stopwatch, processor
-from myowarp.apps.train.plan import Job, held, last_saved
+from myowarp.apps.train.plan import Job, held
 from myowarp.apps.train.selection import Selection
 from myowarp.definitions.condition import Condition
 from myowarp.definitions.task import TaskSpec
 from myowarp.disk import in_place, plain
+from myowarp.process import stop_asked
 from myowarp.tasks.setups import variant_of
 
 if TYPE_CHECKING:
@@ -134,7 +141,7 @@ def _iterate(job: Job, run: Run, selection: Selection, console: Console) -> str:
     )
     saved, taken, progress = time.monotonic(), 0.0, None
     with ExitStack() as stack:
-        asked = stack.enter_context(_stop_asked())
+        asked = stack.enter_context(stop_asked())
         stack.enter_context(_written(job, "figures"))
         if ranks.leads:
             told = _settings(job, run) if job.wandb else None
@@ -190,28 +197,6 @@ def _end(run: Run, selection: Selection) -> str:
     if reached:
         return f"{100 * settings.stop_success:.1f} % {SUCCESSES[settings.stop_rule]}"
     return "all samples" if run.samples >= settings.samples else ""
-
-
-@contextmanager
-def _stop_asked() -> Iterator[Callable[[], bool]]:
-    """Yield whether Ctrl-C or SIGTERM came; the first one is a wish, a second one acts as ever."""
-    came: list[bool] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield lambda: False
-        return
-
-    def note(*_: object) -> None:
-        came.append(True)
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    for number in before:
-        signal.signal(number, note)
-    try:
-        yield lambda: bool(came)
-    finally:
-        note()
 
 
 @contextmanager

@@ -65,9 +65,8 @@ class SAC(Learner):
         self._policy_step = Captured(self, self._update_policy)
         self._follow = get_ema_multi_avg_fn(1.0 - settings.target_rate)
 
-    def iterate(self, worlds: Worlds) -> dict[str, float]:
+    def iterate(self, worlds: Worlds) -> None:
         """Alternate between a control step of all worlds and some gradient steps."""
-        self.set_rates()
         for _ in range(self.settings.rollout_steps):
             obs, action = worlds.obs.clone(), self._act(worlds)
             step = worlds.step(action)
@@ -79,7 +78,6 @@ class SAC(Learner):
             if worlds.steps >= self.settings.random_steps and self.replay.filled >= self.settings.batch_size:
                 self._update()
         self.note(entropy_weight=self.log_temperature.exp())
-        return self.figures()
 
     @torch.no_grad()
     def _act(self, worlds: Worlds) -> torch.Tensor:

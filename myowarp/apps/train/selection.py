@@ -81,7 +81,7 @@ class Selection:
         return True
 
     def stall(self, before: Score | None) -> str:
-        """Return a sentence where none was better for half of the budget now, and `before` for less; else ""."""
+        """Return a sentence where for half of the budget now, but not `before`, none was better; else ""."""
         settings, best, last = self._job.settings, self.best, self.last
         if not (best and last and before) or best.success == 1.0:
             return ""
@@ -92,7 +92,7 @@ class Selection:
         tried = " ".join(f"{flag(name)} {shown(value)}" for name, value in changed.items())
         return (
             f"for half of the budget nothing was better than {100.0 * best.success:.1f} % after "
-            f"{best.samples:,} samples; tried was {settings.algorithm} {tried}; change a setting, add --bonus or "
+            f"{best.samples:,} samples; tried was {settings.algorithm} {tried}; change one, add --bonus or "
             f"--start-share, or search around the best with `myowarp improve {self._job.folder}`"
         )
 

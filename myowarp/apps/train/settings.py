@@ -33,12 +33,10 @@ class Settings:
     algorithm: ClassVar[str]
 
     samples: int = option(3_000_000, "Control steps of all worlds together.", least=1, free=True)
-    stop_success: float = option(
-        0.995, "Share of a selection's episodes at which to stop; above 1: never.", least=0.0, free=True
-    )
+    stop_success: float = option(0.995, "Successes at which to stop; above 1: never.", least=0.0, free=True)
     stop_rule: str = option(
         "success",
-        "What counts there: success (over 5 solved steps, no failure), success_last or success_any (solved).",
+        "What counts: success (over 5 solved steps, no failure), success_last or success_any (solved).",
         choices=SUCCESSES,
     )
     selections: int = option(
@@ -52,19 +50,14 @@ class Settings:
     rollout_steps: int = option(24, "Control steps of every world in an iteration.", least=1)
     bonus: tuple[str, ...] = option(
         (),
-        "Added to the training's reward alone, NAME=WEIGHT: solved, success, precision (of reach) or a term.",
+        "Added to the training's reward alone: solved, success, precision (of reach) or a term.",
         "[NAME=WEIGHT ...]",
     )
     cohort: str = option("", "Patient table; every patient has as many worlds; empty: one body for all.")
     start: str = option(
-        "", "State file (`State.save`) that episodes start in, with its goals; empty: resets."
+        "", "State file (`State.save`) in which episodes start, goals and all; empty: resets."
     )
-    start_share: float = option(
-        0.0,
-        "Share of episodes that start on the way of an earlier success, goal and all.",
-        least=0.0,
-        most=1.0,
-    )
+    start_share: float = option(0.0, "Episodes that start on the way of a success.", least=0.0, most=1.0)
     parent: str = option("", "Policy to start from: a run's folder or baselines/<id>; empty: none.")
     parent_samples: int = option(
         0,
@@ -75,18 +68,12 @@ class Settings:
     # On two idle cores, two threads take 3.5 us a sample and pass (two networks 2 x 128), one 5.9.
     # When another process wants a core they take 10 to 60 times as long: they wait at every barrier.
     threads: int = option(1, "Torch's threads on the CPU; more pay on idle cores alone.", least=1, most=1024)
-    precision: str = option(
-        "auto", "Of matrix products; auto: bfloat16 where the processor multiplies it.", choices=PRECISIONS
-    )
+    precision: str = option("auto", "Of products; auto: bfloat16 where it is fast.", choices=PRECISIONS)
     discount: float = option(0.97, "Discount of rewards a control step.", least=0.0, most=1.0)
     hidden: tuple[int, ...] = option((128, 128), "Widths of the hidden layers.", least=1, most=16384)
     activation: str = option("elu", "Function between the layers.", choices=ACTIVATIONS)
-    last_rate: float = option(
-        0.5, "Share of all learning rates at the end; they fall along half a cosine.", least=0.0, most=1.0
-    )
-    average: float = option(
-        0.9, "Weight of what was before in the policy's average, an iteration.", least=0.0, most=0.9999
-    )
+    last_rate: float = option(0.5, "Share of rates at the end, along half a cosine.", least=0.0, most=1.0)
+    average: float = option(0.9, "Weight of the past in the policy's average.", least=0.0, most=0.9999)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,14 +81,8 @@ class Gaussian(Settings):
     """Settings of PPO, TRPO, DAgger and improve: one spread for all states."""
 
     initial_std: float = option(0.5, "Spread of actions at the start, with a parent, too.", least=1e-3)
-    initial_mean: float = option(
-        0.0, "Mean of actions at the start, without a parent; below 0: quiet.", least=-0.99, most=0.99
-    )
-    mean_bound: str = option(
-        "tanh",
-        "What keeps the mean of actions from -1 to 1: tanh, or clip, behind which noise and gradient vanish.",
-        choices=MEAN_BOUNDS,
-    )
+    initial_mean: float = option(0.0, "Mean of actions at the start; below 0: quiet.", least=-0.99, most=0.99)
+    mean_bound: str = option("tanh", "Of means: tanh, or clip, where gradients vanish.", choices=MEAN_BOUNDS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,9 +94,7 @@ class OnPolicy(Gaussian):
     epochs: int = option(5, "Passes over the samples in an update.", least=1)
     minibatches: int = option(4, "Parts of a pass.", least=1)
     value_rate: float = option(1e-3, "Learning rate of the value function at the start.", least=0.0)
-    value_first: int = option(
-        0, "Iterations at the start in which the value function alone learns, with a parent.", least=0
-    )
+    value_first: int = option(0, "First iterations, in which the value function learns alone.", least=0)
     noise: str = option("white", "Of actions: white, or repeated for up to 16 steps.", choices=NOISES)
     gradient_norm: float = option(1.0, "Norm to which gradients are clipped; 0: not at all.", least=0.0)
 
@@ -126,9 +105,7 @@ class PPOSettings(OnPolicy):
 
     algorithm = "ppo"
     clip: float = option(0.2, "Clip of the ratio of probabilities.", least=0.0)
-    kl: float = option(
-        0.0, "KL an action entry that the policy's rate aims at, 3e-4 say; 0: none.", least=0.0
-    )
+    kl: float = option(0.0, "KL an action entry that the rate aims at, 3e-4 say; 0: none.", least=0.0)
     least_rate: float = option(1e-5, "Smallest learning rate with an aim.", least=0.0)
     largest_rate: float = option(1e-2, "Largest learning rate with an aim.", least=0.0)
     spread_rate: float = option(1e-3, "Learning rate of the spread of actions at the start.", least=0.0)
@@ -181,10 +158,7 @@ class DAggerSettings(Gaussian, Replaying):
     expert: str = option("muscle-control", "Policy that is imitated, by its name as in `rollout --policy`.")
     expert_steps: int = option(100, "First control steps of every world, in which the expert acts.", least=1)
     initial_std: float = other(
-        Gaussian,
-        "initial_std",
-        0.1,
-        "Spread of the noise; a third of the worlds has none, a third half of it.",
+        Gaussian, "initial_std", 0.1, "Noise; a third of the worlds has none, one half."
     )
     learning_rate: float = other(Replaying, "learning_rate", 5e-4)
     gradient_steps: int = other(Replaying, "gradient_steps", 16)
@@ -221,18 +195,14 @@ def settings_of(kind: type[Settings]) -> dict[str, dataclasses.Field[Any]]:
 
 def all_settings() -> dict[str, dataclasses.Field[Any]]:
     """Return the settings of all algorithms by name, each as the first one that has it says it."""
-    found: dict[str, dataclasses.Field[Any]] = {}
-    for kind in ALGORITHMS.values():
-        found = settings_of(kind) | found
-    return found
+    return {name: own for kind in reversed(ALGORITHMS.values()) for name, own in settings_of(kind).items()}
 
 
 def preset(name: str, algorithm: str) -> dict[str, Any]:
     """Return what the preset of a task, named without version, changes for an algorithm; maybe nothing."""
     table = _preset_table(name)
-    shared = {key: value for key, value in table.items() if not isinstance(value, dict)}
-    shared.pop("algorithm", None)
-    return shared | table.get(algorithm, {})
+    said = (table | table.get(algorithm, {})).items()
+    return {key: value for key, value in said if key != "algorithm" and not isinstance(value, dict)}
 
 
 def divided(values: Mapping[str, Any]) -> tuple[Setup, dict[str, Any]]:
@@ -252,21 +222,10 @@ def _preset_table(name: str) -> dict[str, Any]:
 
 
 def choose(name: str, algorithm: str, given: Mapping[str, Any]) -> Settings:
-    """Return settings: the defaults, a task's preset over them, and over both what is given.
-
-    Raises:
-        ValueError: A setting does not belong to the algorithm, is out of its range or does not fit to others.
-    """
+    """Return settings: the defaults, a task's preset over them, and over both what is given, as `restore`."""
     if algorithm in RENAMED:
         raise ValueError(f"algorithm {algorithm!r} is called {RENAMED[algorithm]} now")
     check_choice("algorithm", algorithm, ALGORITHMS)
-    known = settings_of(ALGORITHMS[algorithm])
-    for key in (key for key in given if key not in known):
-        owners = [owner for owner, kind in ALGORITHMS.items() if key in settings_of(kind)]
-        there = (
-            f"it belongs to {' and '.join(owners)}" if owners else f"available: {', '.join(sorted(known))}"
-        )
-        raise ValueError(f"{algorithm} has no setting {flag(key)}; {there}")
     return restore(ALGORITHMS[algorithm], divided(preset(name, algorithm))[1] | dict(given))
 
 
@@ -274,11 +233,13 @@ def restore(kind: type[RECORDED], values: Mapping[str, Any]) -> RECORDED:
     """Return settings from plain values, checked.
 
     Raises:
-        ValueError: A value has the wrong type, is out of its range or does not fit to others.
+        ValueError: A setting does not belong to the algorithm, is out of its range or does not fit to others.
     """
     known = settings_of(kind)
     for name in (name for name in values if name not in known):
-        raise ValueError(f"setting {name!r} is unknown; available: {', '.join(known)}")
+        owners = " and ".join(owner for owner, own in ALGORITHMS.items() if name in settings_of(own))
+        there = f"it belongs to {owners}" if owners else f"available: {', '.join(sorted(known))}"
+        raise ValueError(f"{kind.algorithm} has no setting {flag(name)}; {there}")
     settings = kind(**{name: checked(known[name], value, flag(name)) for name, value in values.items()})
     bonus.weights(settings.bonus)
     for right, name, wanted in _rules(settings):
@@ -295,11 +256,10 @@ def _rules(of: Settings) -> Iterator[tuple[bool, str, str]]:
     product = f"{of.num_worlds} worlds x {of.rollout_steps} steps = {iteration}"
     yield of.samples >= iteration, "samples", f"be at least one iteration, {product}"
     if isinstance(of, OnPolicy):
-        parts = f"divide the samples of an iteration, {product}"
-        yield iteration % of.minibatches == 0, "minibatches", parts
+        yield iteration % of.minibatches == 0, "minibatches", f"divide the samples of an iteration, {product}"
     if isinstance(of, PPOSettings):
-        largest = f"be at most --largest-rate, {of.largest_rate}"
-        yield of.least_rate <= of.largest_rate, "least_rate", largest
+        right = of.least_rate <= of.largest_rate
+        yield right, "least_rate", f"be at most --largest-rate, {of.largest_rate}"
     if isinstance(of, ImproveSettings):
         yield of.num_worlds % of.copies == 0, "num_worlds", f"be a multiple of the {of.copies} --copies"
         yield of.keep <= of.copies, "keep", f"be at most --copies, {of.copies}"

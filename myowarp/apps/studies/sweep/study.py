@@ -269,7 +269,8 @@ def _plain(value: Any) -> Any:
 
 def training(run: Run, folder: Path) -> Job:
     """Return the training of a run within its folder, checked; one that was broken off goes on."""
-    from myowarp.apps.train.plan import last_saved, plan
+    from myowarp.apps.policies.checkpoint import last_saved
+    from myowarp.apps.train.plan import plan
 
     home = folder / POLICY
     begun = last_saved(home) is not None
@@ -289,7 +290,7 @@ def _divided(run: Run) -> tuple[Setup, dict[str, Any]]:
 
 def _check_training(run: Run, folder: Path) -> None:
     """Raise ValueError if a run cannot be trained."""
-    from myowarp.apps.train.plan import last_saved
+    from myowarp.apps.policies.checkpoint import last_saved
 
     if last_saved(folder / POLICY) is None:
         folder = folder / "new"  # what was killed before its first checkpoint starts again

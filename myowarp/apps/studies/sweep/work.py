@@ -65,8 +65,8 @@ def do(run: Run, output: Path) -> dict[str, Any]:
 
 def _train(run: Run, folder: Path) -> dict[str, Any]:
     """Train a policy and evaluate it."""
+    from myowarp.apps.policies.checkpoint import last_saved
     from myowarp.apps.reports.evaluation import evaluate_policy, plan_evaluation
-    from myowarp.apps.train.plan import last_saved
     from myowarp.apps.train.run import train
 
     home = folder / POLICY
