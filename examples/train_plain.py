@@ -41,44 +41,47 @@ def distribution(obs: torch.Tensor) -> torch.distributions.Normal:
     return torch.distributions.Normal(policy(obs), log_std.exp())
 
 
-def advantages(rewards: torch.Tensor, ends: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+def advantages(reward: torch.Tensor, ended: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
     """Return generalised advantages (STEPS, WORLDS); `values` (STEPS + 1, WORLDS) goes one step further."""
-    found, carried = torch.zeros_like(rewards), torch.zeros(WORLDS)
-    for t in reversed(range(STEPS)):
-        goes_on = 1.0 - ends[t]
-        error = rewards[t] + GAMMA * goes_on * values[t + 1] - values[t]
+    found, carried = torch.zeros_like(reward), torch.zeros_like(reward[0])
+    for t in reversed(range(len(reward))):
+        goes_on = 1.0 - ended[t]
+        error = reward[t] + GAMMA * goes_on * values[t + 1] - values[t]
         carried = error + GAMMA * LAMBDA * goes_on * carried
         found[t] = carried
     return found
 
 
-def collect(obs: torch.Tensor) -> tuple[torch.Tensor, ...]:
-    """Act for STEPS steps; return observations, actions, their log probabilities, advantages and returns."""
-    observations, actions = torch.zeros(STEPS, WORLDS, num_obs), torch.zeros(STEPS, WORLDS, num_actions)
-    rewards, ends = torch.zeros(2, STEPS, WORLDS)
+def collect(now: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    """Act for STEPS steps; return what is observed then, and the samples: see `update`."""
+    obs, action = torch.zeros(STEPS, WORLDS, num_obs), torch.zeros(STEPS, WORLDS, num_actions)
+    reward, ended = torch.zeros(2, STEPS, WORLDS)
     for t in range(STEPS):
-        observations[t], actions[t] = obs, distribution(obs).sample()
-        obs, reward, terminated, truncated, info = env.step(actions[t].clamp(-1.0, 1.0))
-        rewards[t], ends[t] = reward, terminated | truncated
-        if truncated.any():
-            rewards[t] += GAMMA * truncated * value(info["final_obs"]).squeeze(-1)
-    values = value(torch.cat((observations, obs[None]))).squeeze(-1)
-    gains = advantages(rewards, ends, values)
-    log_probs = distribution(observations).log_prob(actions).sum(-1)
-    batch = observations, actions, log_probs, gains, gains + values[:-1]
-    return obs, *(entry.flatten(0, 1) for entry in batch)
+        obs[t], action[t] = now, distribution(now).sample()
+        now, reward[t], terminated, truncated, info = env.step(action[t].clamp(-1.0, 1.0))
+        ended[t] = terminated | truncated
+        if truncated.any():  # the time is over, not the task: what would have followed counts
+            reward[t] += GAMMA * truncated * value(info["final_obs"]).squeeze(-1)
+    values = value(torch.cat((obs, now[None]))).squeeze(-1)
+    advantage = advantages(reward, ended, values)
+    density = distribution(obs).log_prob(action).sum(-1)
+    samples = obs, action, advantage, advantage + values[:-1], density
+    return now, *(each.flatten(0, 1) for each in samples)
 
 
 def update(
-    observations: torch.Tensor, actions: torch.Tensor, old: torch.Tensor, *targets: torch.Tensor
+    obs: torch.Tensor,
+    action: torch.Tensor,
+    advantage: torch.Tensor,
+    returns: torch.Tensor,
+    density: torch.Tensor,
 ) -> None:
-    """Make EPOCHS passes over the batch."""
-    gains, returns = targets
-    gains = (gains - gains.mean()) / gains.std()
-    for rows in (rows for _ in range(EPOCHS) for rows in torch.randperm(len(old)).split(MINIBATCH)):
-        ratio = (distribution(observations[rows]).log_prob(actions[rows]).sum(-1) - old[rows]).exp()
-        gain = torch.min(ratio * gains[rows], ratio.clamp(1.0 - CLIP, 1.0 + CLIP) * gains[rows])
-        miss = (value(observations[rows]).squeeze(-1) - returns[rows]).square()
+    """Pass over the samples EPOCHS times, in parts."""
+    advantage = (advantage - advantage.mean()) / advantage.std()
+    for rows in (rows for _ in range(EPOCHS) for rows in torch.randperm(len(obs)).split(MINIBATCH)):
+        ratio = (distribution(obs[rows]).log_prob(action[rows]).sum(-1) - density[rows]).exp()
+        gain = torch.min(ratio * advantage[rows], ratio.clamp(1.0 - CLIP, 1.0 + CLIP) * advantage[rows])
+        miss = (value(obs[rows]).squeeze(-1) - returns[rows]).square()
         optimizer.zero_grad()
         (0.5 * miss - gain).mean().backward()
         nn.utils.clip_grad_norm_(parameters, 1.0)
@@ -99,7 +102,7 @@ with torch.no_grad():
 obs, _ = env.reset(seed=0)
 for _ in range(0, SAMPLES, STEPS * WORLDS):
     with torch.no_grad():
-        obs, *batch = collect(obs.clone())
-    update(*batch)
+        obs, *samples = collect(obs.clone())
+    update(*samples)
 with torch.no_grad():
     print(f"after {SAMPLES:,} samples: {evaluate()}")

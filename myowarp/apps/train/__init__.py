@@ -7,8 +7,8 @@
 | `worlds.py`, `starts.py`, `tally.py` | steps and restarts; where episodes start; figures of episodes |
 | `ppo.py`, `trpo.py`, `sac.py`, `dagger.py`, `improve.py` | an algorithm each, from the first step on |
 | `learner.py` | what they share: rates, optimisers, all numbers by name, the average of the policy |
-| `networks.py`, `noise.py`, `replay.py` | policies, critics; noise that lasts; a memory of samples |
+| `networks.py`, `replay.py`, `arrays.py` | policies, critics, noise; a memory of samples; numbers by name |
 | `loop.py`, `run.py` | a run between two iterations; from its first step to its report |
 | `selection.py` | evaluations on the way, of which the best policy is kept |
-| `progress.py` | the live line, CSV, TensorBoard, the curve |
+| `progress.py` | the live line, CSV, TensorBoard |
 """
