@@ -66,7 +66,7 @@ def learned(**settings):
     for _ in range(ITERATIONS):
         run.iterate()
     arrays = {f"learned.{name}": array.copy() for name, array in run.learner.arrays().items()}
-    arrays |= {f"average.{name}": array for name, array in run.average.arrays().items()}
+    arrays |= {f"average.{name}": array for name, array in run.learner.acting().items()}
     arrays["actions"] = actions[0]
     arrays["figures"] = np.array(list(run.worlds.tally.figures().values()))
     arrays |= {f"saved.{name}": array.copy() for name, array in run.arrays().items()}

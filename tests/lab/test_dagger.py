@@ -62,7 +62,7 @@ def test_the_expert_acts_first_and_then_the_policy_with_noise_of_three_sizes():
     run, said = make_run(initial_std=0.2, gradient_steps=1)
     actions, quiet = acted(run), np.arange(WORLDS) % NOISE_LEVELS == 0
     run.iterate()
-    spread = np.exp(run.average.arrays()["log_std"])
+    spread = np.exp(run.learner.acting()["log_std"])
     for number, (action, (_, label)) in enumerate(zip(actions, said, strict=True)):
         if number < EXPERT_STEPS:
             np.testing.assert_array_equal(action[quiet], label[quiet])

@@ -128,7 +128,7 @@ def test_a_run_of_searches_is_resumed_bit_for_bit(tmp_path):
     first = make_run()
     for _ in range(2):
         first.iterate()
-    saved = SimpleNamespace(manifest=first.manifest(), policy=first.average.arrays())
+    saved = SimpleNamespace(manifest=first.manifest(), policy=first.learner.acting())
     arrays = first.arrays()
     saved.state = lambda: arrays
     second = make_run()

@@ -11,7 +11,7 @@ from learners import make_learner, parents
 
 from myowarp.apps.reports import machine
 from myowarp.apps.train import ppo
-from myowarp.apps.train.learner import Average, Captured
+from myowarp.apps.train.learner import Captured
 from myowarp.apps.train.loop import INHERITED_STEPS, DivergedError, Run, precision
 from myowarp.apps.train.networks import CLIP, Normaliser
 from myowarp.apps.train.ppo import RATE_FACTOR, Rollout
@@ -45,13 +45,13 @@ def make_run(algorithm, seed=0, parent=None, **settings):
 )
 def test_an_inherited_normaliser_counts_what_it_has_seen_in_the_same_task(task, settings, count):
     """Else a rollout from the begin of all episodes would move it, and with it a policy that was good."""
-    arrays = make_run("ppo", minibatches=2).average.arrays()
+    arrays = make_run("ppo", minibatches=2).learner.acting()
     arrays["observation_mean"] = arrays["observation_mean"] + 3.0
     parent = SimpleNamespace(task=task, policy=arrays, manifest={"samples": 7777})
     run = make_run("ppo", parent=parent, minibatches=2, **settings)
     assert run.learner.normaliser.count == count
     np.testing.assert_allclose(run.learner.normaliser.mean, arrays["observation_mean"])
-    np.testing.assert_array_equal(run.average.arrays()["net.0.weight"], run.learner.policy.net[0].weight.data)
+    np.testing.assert_array_equal(run.learner.acting()["net.0.weight"], run.learner.policy.net[0].weight.data)
 
 
 def record(run):
@@ -428,36 +428,36 @@ def test_a_step_of_trpo_that_gains_nothing_is_not_made():
     np.testing.assert_allclose(packed(learner.policy), before, atol=1e-6)
 
 
-def test_an_average_follows_the_policy():
+@pytest.mark.parametrize("keep", [0.8, 0.0])
+def test_an_average_follows_the_policy(keep):
     """w <- keep w + (1 - keep) policy, written out."""
     learner = small("ppo")
-    average, plain = Average(learner, 0.8), Average(learner, 0.0)
+    learner.follow(keep)
     weights = [packed(learner.policy)]
     for _ in range(6):
         with torch.no_grad():
             for parameter in learner.policy.parameters():
                 parameter += torch.randn_like(parameter)
         weights.append(packed(learner.policy))
-        average.follow()
-        plain.follow()
-    shares = np.array([0.8**6, *(0.2 * 0.8 ** np.arange(5, -1, -1))])
+        learner.follow(keep)
+    shares = np.array([keep**6, *((1 - keep) * keep ** np.arange(5.0, -1.0, -1.0))])
     assert shares.sum() == pytest.approx(1.0)
 
     def vector(arrays):
         names = ("net.0.weight", "net.0.bias", "net.2.weight", "net.2.bias", "log_std")
         return np.concatenate([arrays[name].ravel() for name in names])
 
-    np.testing.assert_allclose(vector(average.arrays()), shares @ np.array(weights), atol=1e-5)
-    np.testing.assert_array_equal(vector(plain.arrays()), weights[-1].astype(np.float32))
+    wanted, tolerance = shares @ np.array(weights), 1e-5 if keep else 0.0
+    np.testing.assert_allclose(vector(learner.acting()), wanted, rtol=0, atol=tolerance)
     learner.normaliser.see(torch.full((3, INPUTS), 9.0))
-    np.testing.assert_array_equal(average.arrays()["observation_mean"], learner.normaliser.mean)
+    np.testing.assert_array_equal(learner.acting()["observation_mean"], learner.normaliser.mean)
 
 
 def test_a_run_averages_once_an_iteration():
     run = make_run("ppo", minibatches=1, average=0.75)
-    before = run.average.arrays()["net.0.weight"]
+    before = run.learner.acting()["net.0.weight"]
     run.iterate()
-    now, own = run.average.arrays()["net.0.weight"], run.learner.policy.net[0].weight.detach().numpy()
+    now, own = run.learner.acting()["net.0.weight"], run.learner.policy.net[0].weight.detach().numpy()
     np.testing.assert_allclose(now, 0.75 * before + 0.25 * own, atol=1e-7)
     assert np.abs(own - before).max() > 1e-4
 

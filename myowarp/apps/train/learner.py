@@ -21,9 +21,6 @@ from myowarp.apps.train.replay import Replay
 from myowarp.apps.train.settings import Settings
 from myowarp.apps.train.worlds import Worlds
 
-OF_RANKS = ("noise.", "torch_generator", "cuda_generator")
-"""Begins of names of arrays of which every rank has rows of its own: one a world, or one."""
-
 
 class Learner(nn.Module):
     """A policy that learns.
@@ -31,6 +28,8 @@ class Learner(nn.Module):
     Attributes:
         policy: What acts.
         normaliser: Of its observations.
+        average: Of the policy's weights over the iterations. It acts in evaluations and is what a run leaves,
+            while the policy itself takes the samples.
         optimizers: By name.
         replay: Samples that are used more than once; None: none.
         noted: Figures since the last iteration, by name.
@@ -45,6 +44,7 @@ class Learner(nn.Module):
         super().__init__()
         self.settings, self.device, self.ranks = settings, worlds.device, ranks
         self.normaliser = Normaliser(worlds.num_obs).to(self.device)
+        self.average: dict[str, torch.Tensor] = {}
         self.noted: dict[str, list[torch.Tensor]] = {}
 
     def iterate(self, worlds: Worlds) -> None:
@@ -122,6 +122,16 @@ class Learner(nn.Module):
             {"mean": mean, "variance": variance, "count": np.array(count)},
         )
 
+    def follow(self, keep: float) -> None:
+        """Take the policy into its average, w <- keep w + (1 - keep) policy; at first they are the same."""
+        for name, weights in self.policy.state_dict().items():
+            self.average.setdefault(name, weights.clone()).lerp_(weights, 1.0 - keep)
+
+    def acting(self) -> Arrays:
+        """Return what acts: the average of the weights, and the normaliser of observations."""
+        moments = {"mean": self.normaliser.mean, "variance": self.normaliser.variance}
+        return taken(self.average | {f"observation_{name}": moment for name, moment in moments.items()})
+
     def form(self) -> dict[str, object]:
         """Return what the arrays of the policy leave open, for `myowarp.apps.policies.learned`."""
         return {
@@ -171,29 +181,6 @@ def set_rate(optimizer: torch.optim.Optimizer, rate: float) -> None:
             group["lr"].fill_(rate)
         else:
             group["lr"] = rate
-
-
-class Average:
-    """An average of a policy over the last iterations: w <- keep w + (1 - keep) policy.
-
-    It acts in evaluations, and is what a run leaves; the policy itself takes the samples.
-    """
-
-    def __init__(self, learner: Learner, keep: float) -> None:
-        """Begin with the policy as it is."""
-        self._learner, self._keep = learner, keep
-        self.tensors = {name: tensor.clone() for name, tensor in learner.policy.state_dict().items()}
-
-    def follow(self) -> None:
-        """Take the policy of the last iteration into account."""
-        for name, weights in self._learner.policy.state_dict().items():
-            self.tensors[name].lerp_(weights, 1.0 - self._keep)
-
-    def arrays(self) -> Arrays:
-        """Return what acts: weights, and the normaliser of observations."""
-        seen = self._learner.normaliser
-        moments = {"observation_mean": seen.mean, "observation_variance": seen.variance}
-        return taken(self.tensors | moments)
 
 
 WARM_UPS = 3  # plain calls before a capture, in which libraries allocate what they keep

@@ -19,7 +19,7 @@ from myowarp.apps.train import bonus
 from myowarp.apps.train.arrays import Arrays, below, put
 from myowarp.apps.train.dagger import DAgger, Imitation
 from myowarp.apps.train.improve import Improve
-from myowarp.apps.train.learner import OF_RANKS, Average, Learner
+from myowarp.apps.train.learner import Learner
 from myowarp.apps.train.ppo import PPO
 from myowarp.apps.train.sac import SAC
 from myowarp.apps.train.settings import Settings
@@ -34,6 +34,8 @@ RANK_SEEDS = 1_000_003  # from the seed of one rank's actions to that of the nex
 INHERITED_STEPS = 32
 """Control steps of every world as which all counts that a parent's normaliser has seen in another task."""
 AGENT = "agent."
+OF_RANKS = ("agent.noise.", "agent.torch_generator", "agent.cuda_generator")
+"""Begins of names of the learner's arrays of which every rank has rows of its own: one a world, or one."""
 FIGURES = ("policy_loss", "value_loss", "critic_loss", "action_std", "kl", "learning_rate", "entropy_weight")
 """Columns of `progress.csv` in every run; NaN where an algorithm has none."""
 
@@ -48,7 +50,6 @@ class Run:
     Attributes:
         worlds: The worlds of this rank.
         learner: What learns.
-        average: The average of its policy, which a run leaves.
         updates: Iterations so far.
         losses: Figures of the last iteration's updates.
         faults: Kinds of faults that worlds of any rank had in this process, in words.
@@ -82,7 +83,7 @@ class Run:
             seen, same = parent.manifest["samples"], parent.task == env.sim.scene.spec.key
             known = seen if same else settings.num_worlds * INHERITED_STEPS
             self.learner.inherit(parent.policy, seen, settings.parent_samples or known)
-        self.average = Average(self.learner, settings.average)
+        self.learner.follow(settings.average)
         if not ranks.leads:  # one policy, but actions of its own
             torch.manual_seed(seed + RANK_SEEDS * ranks.rank)
         self.updates = 0
@@ -112,7 +113,7 @@ class Run:
         learner.iterate(self.worlds)
         losses = learner.figures()
         clock.learner += time.perf_counter() - begin - (clock.simulation - simulation)
-        self.average.follow()
+        learner.follow(self.settings.average)
         self.updates += 1
         # All ranks have the episodes that ended on any, the mean of their losses, and the faults.
         own = tally.take(), losses, [*self.worlds.kinds.values()]
@@ -162,8 +163,8 @@ class Run:
     def arrays(self) -> Arrays:
         """Return what a resumed run needs besides the average policy; on the rank that saves."""
         state = {AGENT + name: array for name, array in self.learner.arrays().items()}
-        rows = self.worlds.rows() | {name: state.pop(name) for name in [*state] if _of_ranks(name)}
-        return state | self.ranks.rows(rows) | self.worlds.arrays()
+        own = {name: state.pop(name) for name in [*state] if name.startswith(OF_RANKS)}
+        return state | self.ranks.rows(self.worlds.rows() | own) | self.worlds.arrays()
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Put back everything that a checkpoint of this run holds.
@@ -174,16 +175,12 @@ class Run:
             ValueError: An array of the environment does not fit.
         """
         state, manifest, rows = checkpoint.state(), checkpoint.manifest, self.worlds.rows()
-        state |= {n: self.ranks.own(array) for n, array in state.items() if n in rows or _of_ranks(n)}
+        own = [name for name in state if name in rows or name.startswith(OF_RANKS)]
+        state |= {name: self.ranks.own(state[name]) for name in own}
         self.worlds.restore(state, manifest["steps"], manifest["clock"])
         self.updates = manifest["updates"]
-        put(self.average.tensors, checkpoint.policy)
+        put(self.learner.average, checkpoint.policy)
         self.learner.restore(below(state, AGENT))
-
-
-def _of_ranks(name: str) -> bool:
-    """Whether every rank has rows of its own of an array of the learner."""
-    return name.startswith(tuple(AGENT + begin for begin in OF_RANKS))
 
 
 def precision(settings: Settings, device: str) -> str:

@@ -216,7 +216,7 @@ def _written(job: Job, what: str) -> Iterator[None]:
 
 def _save(job: Job, run: Run, selection: Selection) -> None:
     """Write a checkpoint, with the worlds of all ranks; where it cannot be, the one before is still there."""
-    manifest, policy, state = manifest_of(job, run, selection), run.average.arrays(), run.arrays()
+    manifest, policy, state = manifest_of(job, run, selection), run.learner.acting(), run.arrays()
     if job.ranks.leads:
         with _written(job, f"checkpoint after {run.samples} samples"):
             checkpoint.save_checkpoint(job.folder, run.samples, manifest, policy, state)
@@ -224,7 +224,7 @@ def _save(job: Job, run: Run, selection: Selection) -> None:
 
 def _select(job: Job, run: Run, selection: Selection, console: Console) -> None:
     """Evaluate the average policy, and keep it if it is the best."""
-    manifest, policy, before = manifest_of(job, run, selection), run.average.arrays(), selection.last
+    manifest, policy, before = manifest_of(job, run, selection), run.learner.acting(), selection.last
     if selection.evaluate(run.samples, manifest, policy) and job.ranks.leads:
         manifest |= {"selection": plain(selection.manifest())}
         with _written(job, f"the best policy, after {run.samples} samples"):
