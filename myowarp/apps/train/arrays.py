@@ -26,7 +26,10 @@ def put(own: Mapping[str, torch.Tensor | np.ndarray], arrays: Mapping[str, np.nd
         KeyError: An array is missing.
     """
     for name, values in own.items():
-        values[...] = tensor(arrays[name]) if isinstance(values, torch.Tensor) else arrays[name]
+        if isinstance(values, torch.Tensor):
+            values.copy_(tensor(arrays[name]))
+        else:
+            values[...] = arrays[name]
 
 
 def below(arrays: Mapping[str, np.ndarray], prefix: str) -> Arrays:

@@ -205,12 +205,13 @@ class Captured:
         self._noted: dict[str, list[torch.Tensor]] = {}
         self._replay: Callable[[], object] | None = None
 
-    def __call__(self, *tensors: torch.Tensor) -> None:
-        """Do the step."""
-        self._calls += 1
-        if not self._captures:
+    def __call__(self, *tensors: torch.Tensor, alike: bool = True) -> None:
+        """Do the step; a plain call does one that is not like the others."""
+        if not (self._captures and alike):
             self._step(*tensors)
-        elif self._calls <= WARM_UPS:
+            return
+        self._calls += 1
+        if self._calls <= WARM_UPS:
             self._warm_up(*tensors)
         else:
             if self._replay is None:

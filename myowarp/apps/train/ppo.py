@@ -171,7 +171,7 @@ class PPO(OnPolicyLearner):
         # A rate with an aim is the host's, and so are messages to other ranks.
         alike = not (self.value_alone or self.settings.kl or self.ranks.size > 1)
         for part in rollout.parts(self.settings.minibatches) * self.settings.epochs:
-            (self._step if alike else self._descend)(*part)
+            self._step(*part, alike=alike)
 
     def _descend(self, *samples: torch.Tensor) -> None:
         """Do a gradient step of value function and policy on samples, the fields of a `Rollout`."""

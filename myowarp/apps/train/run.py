@@ -8,7 +8,7 @@ import os
 import time
 import warnings
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +37,7 @@ from myowarp.tasks.setups import variant_of
 
 if TYPE_CHECKING:
     from myowarp.apps.train.loop import Run
+    from myowarp.apps.train.progress import Progress
     from myowarp.bridge_gym import MyoWarpVectorEnv
 
 REPORT = "report.json"
@@ -110,8 +111,9 @@ def _environment(job: Job, samples: int) -> MyoWarpVectorEnv:
     """Return this rank's worlds, under the physics that the run has after a number of samples."""
     from myowarp.bridge_gym import MyoWarpVectorEnv
 
-    ranks, here = job.ranks, {"physics": _physics(job, samples), "rank": job.ranks.part}
-    setup = dataclasses.replace(job.setup, device=ranks.device(job.setup.device), **here)
+    ranks, physics = job.ranks, _physics(job, samples)
+    device = ranks.device(job.setup.device)
+    setup = dataclasses.replace(job.setup, physics=physics, device=device, rank=ranks.part)
     number = ranks.share("--num-worlds", job.settings.num_worlds)
     return MyoWarpVectorEnv(setup, number, autoreset_mode="disabled", output="torch", copy=False)
 
@@ -124,7 +126,6 @@ def _physics(job: Job, samples: int) -> str | None:
 def _iterate(job: Job, run: Run, selection: Selection, console: Console) -> str:
     """Iterate until something ends the run; returns what."""
     from myowarp.apps.train.loop import DivergedError
-    from myowarp.apps.train.progress import Progress
 
     settings, ranks = job.settings, job.ranks
     then, now = job.checkpoint.manifest["versions"] if job.checkpoint else {}, versions()
@@ -139,15 +140,13 @@ def _iterate(job: Job, run: Run, selection: Selection, console: Console) -> str:
         f"{run.env.sim.setup.physics} physics"
         f"{f', from {settings.parent}' if settings.parent else ''}, into {job.folder}"
     )
-    saved, taken, progress = time.monotonic(), 0.0, None
-    with ExitStack() as stack:
-        asked = stack.enter_context(stop_asked())
-        stack.enter_context(_written(job, "figures"))
-        if ranks.leads:
-            told = _settings(job, run) if job.wandb else None
-            progress = Progress(job.folder, settings.samples, console, after=run.samples, wandb=told)
-            stack.enter_context(progress)
-        stack.enter_context(warnings.catch_warnings())
+    saved, taken = time.monotonic(), 0.0
+    with (
+        stop_asked() as asked,
+        _written(job, "figures"),
+        _progress(job, run, console) as progress,
+        warnings.catch_warnings(),
+    ):
         warnings.filterwarnings("ignore", ".* was reset after a fault")  # the environment's; see below
         while True:
             every = max(job.save_seconds, SAVE_COST * taken) if job.save_seconds else 0.0
@@ -182,6 +181,19 @@ def _iterate(job: Job, run: Run, selection: Selection, console: Console) -> str:
                 _select(job, run, selection, console)
             if progress:
                 progress.add(run.row() | selection.figures())
+
+
+@contextmanager
+def _progress(job: Job, run: Run, console: Console) -> Iterator[Progress | None]:
+    """Open the files and the live line of a run, on the rank that logs."""
+    from myowarp.apps.train.progress import Progress
+
+    if not job.ranks.leads:
+        yield None
+        return
+    told = _settings(job, run) if job.wandb else None
+    with Progress(job.folder, run.settings.samples, console, after=run.samples, wandb=told) as progress:
+        yield progress
 
 
 def _end(run: Run, selection: Selection) -> str:

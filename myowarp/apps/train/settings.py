@@ -33,7 +33,7 @@ class Settings:
     algorithm: ClassVar[str]
 
     samples: int = option(3_000_000, "Control steps of all worlds together.", least=1, free=True)
-    stop_success: float = option(0.995, "Successes at which to stop; above 1: never.", least=0.0, free=True)
+    stop_success: float = option(0.995, "Share of success to stop at; above 1: never.", least=0.0, free=True)
     stop_rule: str = option(
         "success",
         "What counts: success (over 5 solved steps, no failure), success_last or success_any (solved).",
@@ -57,7 +57,7 @@ class Settings:
     start: str = option(
         "", "State file (`State.save`) in which episodes start, goals and all; empty: resets."
     )
-    start_share: float = option(0.0, "Episodes that start on the way of a success.", least=0.0, most=1.0)
+    start_share: float = option(0.0, "Share of episodes that start on a success's way.", least=0.0, most=1.0)
     parent: str = option("", "Policy to start from: a run's folder or baselines/<id>; empty: none.")
     parent_samples: int = option(
         0,
@@ -68,7 +68,7 @@ class Settings:
     # On two idle cores, two threads take 3.5 us a sample and pass (two networks 2 x 128), one 5.9.
     # When another process wants a core they take 10 to 60 times as long: they wait at every barrier.
     threads: int = option(1, "Torch's threads on the CPU; more pay on idle cores alone.", least=1, most=1024)
-    precision: str = option("auto", "Of products; auto: bfloat16 where it is fast.", choices=PRECISIONS)
+    precision: str = option("auto", "Of matrix products; auto: bfloat16 where fast.", choices=PRECISIONS)
     discount: float = option(0.97, "Discount of rewards a control step.", least=0.0, most=1.0)
     hidden: tuple[int, ...] = option((128, 128), "Widths of the hidden layers.", least=1, most=16384)
     activation: str = option("elu", "Function between the layers.", choices=ACTIVATIONS)
@@ -82,7 +82,7 @@ class Gaussian(Settings):
 
     initial_std: float = option(0.5, "Spread of actions at the start, with a parent, too.", least=1e-3)
     initial_mean: float = option(0.0, "Mean of actions at the start; below 0: quiet.", least=-0.99, most=0.99)
-    mean_bound: str = option("tanh", "Of means: tanh, or clip, where gradients vanish.", choices=MEAN_BOUNDS)
+    mean_bound: str = option("tanh", "Of means: tanh, or clip: no gradient beyond.", choices=MEAN_BOUNDS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,7 +158,7 @@ class DAggerSettings(Gaussian, Replaying):
     expert: str = option("muscle-control", "Policy that is imitated, by its name as in `rollout --policy`.")
     expert_steps: int = option(100, "First control steps of every world, in which the expert acts.", least=1)
     initial_std: float = other(
-        Gaussian, "initial_std", 0.1, "Noise; a third of the worlds has none, one half."
+        Gaussian, "initial_std", 0.1, "Noise; worlds in turn have none, half, all of it."
     )
     learning_rate: float = other(Replaying, "learning_rate", 5e-4)
     gradient_steps: int = other(Replaying, "gradient_steps", 16)

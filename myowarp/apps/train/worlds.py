@@ -153,8 +153,7 @@ class Worlds:
         """Make every world what another one is, shape (num_worlds,); random numbers to come stay its own."""
         with self._simulating():
             others = rows.cpu().numpy()
-            for values in self._own().values():
-                values[...] = values[others]
+            put(self._own(), {name: values[others] for name, values in taken(self._own()).items()})
             state = self.env.get_state()[others]
             self.obs.copy_(self.env.set_state(State(state.task, without_keys(state)), conditions=False))
 
