@@ -14,7 +14,6 @@ from myowarp.apps.policies.learned import LearnedPolicy
 from myowarp.apps.train.dagger import NOISE_LEVELS
 from myowarp.apps.train.loop import Run
 from myowarp.apps.train.plan import plan
-from myowarp.apps.train.replay import replay_bytes
 from myowarp.apps.train.run import start, train
 from myowarp.apps.train.settings import choose
 
@@ -153,7 +152,7 @@ def test_a_replay_that_does_not_fit_is_refused_before_the_first_step(algorithm, 
     for _ in range(800):
         replay.add(**{name: torch.zeros(8, rows.shape[1]) for name, rows in replay._rows.items()})
     held = sum(array.nbytes for array in replay.arrays().values())
-    assert held <= replay_bytes(job.settings, 9, 6) + 8 < 1.2 * held
+    assert held == replay.size + 8
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1e5))
     with pytest.raises(ValueError, match=r"--replay needs 0\.0 GB of disk .* has 0\.0 GB; choose a smaller"):
         start(job)

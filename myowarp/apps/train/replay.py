@@ -3,46 +3,45 @@
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 import torch
 
 from myowarp.apps.train.arrays import Arrays, put
-from myowarp.apps.train.settings import DAggerSettings, Replaying, Settings
-from myowarp.disk import existing
 
 NEXT = "replay.next"
-COPIES = 2  # at once, in memory and on disk, while it is saved
+COPIES = 2  # at once, in memory and on disk, while it is saved: the last checkpoint stays meanwhile
 
 
 class Replay:
-    """Rows by name, each (size, width) float32.
+    """Rows by name, each (number, width) float32.
 
     Attributes:
+        size: What it takes, in memory and in a checkpoint [B].
         filled: Rows that hold a sample.
     """
 
-    def __init__(self, size: int, device: torch.device, **widths: int) -> None:
-        """Allocate it.
+    def __init__(self, rows: int, device: torch.device, **widths: int) -> None:
+        """Allocate it, or raise ValueError where this machine has not the memory.
 
         Args:
-            size: Samples, a multiple of the number that `add` gets.
+            rows: Samples, a multiple of the number that `add` gets.
             device: Where it is.
             **widths: Entries of a row, by name.
         """
-        self._rows = {name: torch.empty(size, width, device=device) for name, width in widths.items()}
-        self._size, self._next, self.filled = size, 0, 0
+        self.size = 4 * rows * sum(widths.values())
+        check_room(self.size, "memory", os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+        self._rows = {name: torch.empty(rows, width, device=device) for name, width in widths.items()}
+        self._number, self._next, self.filled = rows, 0, 0
 
     def add(self, **rows: torch.Tensor) -> None:
         """Keep samples, each (number, width) or (number,)."""
         number = len(next(iter(rows.values())))
         for name, kept in self._rows.items():
             kept[self._next : self._next + number] = rows[name].reshape(number, -1)
-        self._next = (self._next + number) % self._size
-        self.filled = min(self.filled + number, self._size)
+        self._next = (self._next + number) % self._number
+        self.filled = min(self.filled + number, self._number)
 
     def draw(self, *shape: int) -> dict[str, torch.Tensor]:
         """Return samples drawn with replacement, (*shape, width) by name."""
@@ -65,23 +64,10 @@ class Replay:
         return {f"replay.{name}": rows[: self.filled] for name, rows in self._rows.items()}
 
 
-def replay_bytes(settings: Settings, num_obs: int, num_actions: int) -> int:
-    """Return what the replay of a run takes, in memory and in a checkpoint [B]; 0 without one."""
-    if not isinstance(settings, Replaying):
-        return 0
-    once = num_obs + num_actions
-    return 4 * settings.replay * (once if isinstance(settings, DAggerSettings) else once + num_obs + 2)
-
-
-def check_replay(size: int, folder: Path) -> None:
-    """Raise ValueError now if this machine cannot hold and save a replay of a size [B].
-
-    A save copies it once more, and the last checkpoint stays in its folder until the new one is whole.
-    """
-    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    for what, there in (("memory", memory), ("disk", shutil.disk_usage(existing(folder)).free)):
-        if (needed := COPIES * size) > there:
-            raise ValueError(
-                f"--replay needs {needed / 1e9:.1f} GB of {what} to be kept and saved, this machine has "
-                f"{there / 1e9:.1f} GB; choose a smaller --replay"
-            )
+def check_room(size: int, where: str, there: int) -> None:
+    """Raise ValueError now if a replay of a size [B] cannot be kept and saved, which takes it once more."""
+    if (needed := COPIES * size) > there:
+        raise ValueError(
+            f"--replay needs {needed / 1e9:.1f} GB of {where} to be kept and saved, this machine has "
+            f"{there / 1e9:.1f} GB; choose a smaller --replay"
+        )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import shutil
 import time
 import warnings
 from collections.abc import Iterator
@@ -31,7 +32,7 @@ from myowarp.apps.train.plan import Job, held
 from myowarp.apps.train.selection import Selection
 from myowarp.definitions.condition import Condition
 from myowarp.definitions.task import TaskSpec
-from myowarp.disk import in_place, plain
+from myowarp.disk import existing, in_place, plain
 from myowarp.process import stop_asked
 from myowarp.tasks.setups import variant_of
 
@@ -88,15 +89,15 @@ def start(job: Job) -> Run:
     import torch
 
     from myowarp.apps.train.loop import Run
-    from myowarp.apps.train.replay import check_replay, replay_bytes
+    from myowarp.apps.train.replay import check_room
 
     torch.set_num_threads(job.settings.threads)
     env = _environment(job, job.checkpoint.manifest["samples"] if job.checkpoint else 0)
     if job.parent is not None:
         checkpoint.check_contract(job.parent, env.sim)
-    obs, actions = env.sim.transition.obs.shape[1], env.sim.action.shape[1]
-    check_replay(replay_bytes(job.settings, obs, actions), job.folder)
     run = Run(env, job.settings, job.parent, job.start, job.ranks)
+    if run.learner.replay is not None:
+        check_room(run.learner.replay.size, "disk", shutil.disk_usage(existing(job.folder)).free)
     if job.checkpoint is not None:
         checkpoint.check_contract(job.checkpoint, env.sim, learning=True)
         try:
