@@ -181,7 +181,8 @@ def held(job: Job) -> Iterator[None]:
 
 def _with_files(job: Job) -> Job:
     """Return a run with what its patient table and its file of states hold, both checked, and the ranks."""
-    chosen, setup, spec, start = job.settings, job.setup, job.setup.spec, None
+    chosen, setup, spec = job.settings, job.setup, job.setup.spec
+    start: State | None = None
     _check_ranks(job)
     if chosen.cohort:
         population = population_of(chosen.cohort, spec)
@@ -297,7 +298,8 @@ def _resumed(
         began = replace(began, task=said.task)
     check_choice("algorithm", manifest["algorithm"], ALGORITHMS)
     kind = ALGORITHMS[manifest["algorithm"]]
-    known = {"algorithm": kind.algorithm, "output": folder, "task": began.task, **recorded, **began.plain()}
+    known: dict[str, Any] = {"algorithm": kind.algorithm, "output": folder, "task": began.task}
+    known |= recorded | began.plain()
     asked = {name: value for name, value in said.plain().items() if getattr(said, name) is not None}
     free = [name for name, entry in settings.settings_of(kind).items() if entry.metadata["free"]]
     for name, value in (same | {"task": said.task} | given | asked).items():

@@ -70,10 +70,10 @@ def train(job: Job, console: Console | None = None) -> dict[str, Any]:
     with held(job):
         with job.ranks.together(job.ranks.device(job.setup.device)):
             run, selection = start(job), Selection(job)
-            reason = _iterate(job, run, selection, console)
+            report = _report(job, run, selection, _iterate(job, run, selection, console))
             run.env.close()
             selection.close()
-        report = _report(job, run, selection, reason) | {k: round(v, 2) for k, v in watch.read().items()}
+        report |= {name: round(value, 2) for name, value in watch.read().items()}
         if job.ranks.leads:
             with _written(job, "report"):
                 _publish(job, report, console)
@@ -129,7 +129,8 @@ def _iterate(job: Job, run: Run, selection: Selection, console: Console) -> str:
     from myowarp.apps.train.loop import DivergedError
 
     settings, ranks = job.settings, job.ranks
-    then, now = job.checkpoint.manifest["versions"] if job.checkpoint else {}, versions()
+    now: dict[str, str] = versions()
+    then: dict[str, str] = job.checkpoint.manifest["versions"] if job.checkpoint else now
     for name in (name for name in then.keys() & now.keys() if then[name] != now[name]):
         text = f"{name} was {then[name]}, is {now[name]}: the run goes on, not bit for bit"
         console.print(text, style="yellow")
@@ -145,7 +146,7 @@ def _iterate(job: Job, run: Run, selection: Selection, console: Console) -> str:
     with (
         stop_asked() as asked,
         _written(job, "figures"),
-        _progress(job, run, console) as progress,
+        _progress(job, run, selection, console) as progress,
         warnings.catch_warnings(),
     ):
         warnings.filterwarnings("ignore", ".* was reset after a fault")  # the environment's; see below
@@ -185,14 +186,14 @@ def _iterate(job: Job, run: Run, selection: Selection, console: Console) -> str:
 
 
 @contextmanager
-def _progress(job: Job, run: Run, console: Console) -> Iterator[Progress | None]:
+def _progress(job: Job, run: Run, selection: Selection, console: Console) -> Iterator[Progress | None]:
     """Open the files and the live line of a run, on the rank that logs."""
     from myowarp.apps.train.progress import Progress
 
     if not job.ranks.leads:
         yield None
         return
-    told = _settings(job, run) if job.wandb else None
+    told = manifest_of(job, run, selection)["settings"] if job.wandb else None
     with Progress(job.folder, run.settings.samples, console, after=run.samples, wandb=told) as progress:
         yield progress
 
@@ -249,21 +250,28 @@ def _select(job: Job, run: Run, selection: Selection, console: Console) -> None:
 def manifest_of(job: Job, run: Run, selection: Selection) -> dict[str, Any]:
     """Return what a checkpoint is."""
     # A model's file was read at the start, and may be gone by now.
-    from_file = isinstance(job.asked.task, Path)
-    task = job.setup.spec.key if from_file else job.asked.task
-    variant, asked = variant_of(dataclasses.replace(job.asked, task=task)), job.asked.conditions or ()
+    task, from_file = job.asked.task, isinstance(job.asked.task, Path)
+    registered = dataclasses.replace(job.asked, task=job.setup.spec.key if from_file else task)
+    variant, asked = variant_of(registered), job.asked.conditions or ()
     objects = [condition.name for condition in asked if isinstance(condition, Condition)]
+    origin = job.checkpoint.manifest.get("parent") if job.checkpoint else None
+    if job.parent is not None:
+        theirs = job.parent.manifest
+        origin = {"task": job.parent.task, "samples": theirs["samples"], **theirs["files"][POLICY]}
     manifest = {
-        "task": _task(job),
+        "task": task.key if isinstance(task, TaskSpec) else str(task),  # what it changes is in the contract
         "model": from_file,
         "reset": variant.reset,
         "conditions": [*variant.conditions, *objects],
         "algorithm": job.settings.algorithm,
         "learner": LEARNER,
         "contract": checkpoint.task_contract(run.env.sim),
-        "settings": _settings(job, run),
+        # Side by side; the other way: `divided`.
+        "settings": dataclasses.asdict(run.settings)
+        | job.asked.plain()
+        | {"muscle": job.setup.muscles.model},
         "versions": versions(),
-        "parent": _origin(job),
+        "parent": origin or None,
         "files_read": job.files_read,
         "selection": selection.manifest(),
         **run.manifest(),
@@ -271,46 +279,21 @@ def manifest_of(job: Job, run: Run, selection: Selection) -> dict[str, Any]:
     return dict(plain(manifest))
 
 
-def _settings(job: Job, run: Run) -> dict[str, Any]:
-    """Return the settings and what was said of the environment, side by side; the other way: `divided`."""
-    return dataclasses.asdict(run.settings) | job.asked.plain() | {"muscle": job.setup.muscles.model}
-
-
-def _task(job: Job) -> str:
-    """Return the task as a manifest says it; what a specification changes is in the contract."""
-    task = job.asked.task
-    return task.key if isinstance(task, TaskSpec) else str(task)
-
-
-def _origin(job: Job) -> dict[str, Any] | None:
-    """Return which policy a run started from: its task, samples and file."""
-    if job.checkpoint is not None:
-        return dict(job.checkpoint.manifest.get("parent") or {}) or None
-    if job.parent is None:
-        return None
-    manifest = job.parent.manifest
-    return {"task": job.parent.task, "samples": manifest["samples"], **manifest["files"][POLICY]}
-
-
 def _report(job: Job, run: Run, selection: Selection, reason: str) -> dict[str, Any]:
     """Return what came out, but for the time that the process took."""
-    clock = run.worlds.clock
+    clock, manifest = run.worlds.clock, manifest_of(job, run, selection)
+    same = ("task", "algorithm", "ranks", "samples", "updates", "selection")
     return {
-        "task": _task(job),
-        "algorithm": job.settings.algorithm,
+        **{name: manifest[name] for name in same},
         "seed": job.setup.seed,
-        "ranks": job.ranks.size,
         "physics": job.setup.physics,
         "parity_after": job.settings.parity_after,
         "ended": reason,
-        "samples": run.samples,
-        "updates": run.updates,
         "resumed_after": job.checkpoint.manifest["samples"] if job.checkpoint else 0,
         "processor": processor(),
         "cores": os.cpu_count(),
         "training_seconds": round(clock.total, 1),
         "training_cpu_seconds": round(clock.cpu, 1),
-        "selection": selection.manifest(),
         **run.worlds.tally.figures(),
         **{f"share_{name}": round(share, 3) for name, share in clock.shares().items()},
     }

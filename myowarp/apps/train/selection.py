@@ -52,7 +52,8 @@ class Selection:
 
     def __init__(self, job: Job) -> None:
         """Go on with what a resumed run has found."""
-        manifest = job.checkpoint.manifest if job.checkpoint else {"samples": 0, "selection": {}}
+        manifest: dict[str, Any] = {"samples": 0, "selection": {}}
+        manifest |= job.checkpoint.manifest if job.checkpoint else {}
         found = {name: Score(**score) for name, score in manifest["selection"].items() if score}
         self.best, self.last = found.get("best"), found.get("last")
         self._job, self._taken = job, manifest["samples"]

@@ -181,9 +181,9 @@ class ImproveSettings(Gaussian, Replaying):
     average: float = other(Settings, "average", 0.5)
 
 
-ALGORITHMS: dict[str, type[Settings]] = {
-    kind.algorithm: kind for kind in (PPOSettings, TRPOSettings, SACSettings, DAggerSettings, ImproveSettings)
-}
+KINDS: tuple[type[Settings], ...]
+KINDS = PPOSettings, TRPOSettings, SACSettings, DAggerSettings, ImproveSettings
+ALGORITHMS = {kind.algorithm: kind for kind in KINDS}
 RENAMED = {"flashsac": "sac"}
 RECORDED = TypeVar("RECORDED", bound=Settings)
 
