@@ -15,7 +15,7 @@ import torch
 from torch import nn
 
 from myowarp.apps.rollouts.ranks import Ranks
-from myowarp.apps.train.arrays import Arrays, below, put, taken, tensor
+from myowarp.apps.train.arrays import Arrays, below, taken, tensor
 from myowarp.apps.train.networks import CLIP, EPSILON, GaussianPolicy, Normaliser, SquashedPolicy
 from myowarp.apps.train.replay import Replay
 from myowarp.apps.train.settings import Settings
@@ -117,10 +117,8 @@ class Learner(nn.Module):
         first = self.policy.net[0]
         assert isinstance(first, nn.Linear)
         first.weight.data[:, torch.from_numpy(unseen)] = 0.0
-        put(
-            dict(self.normaliser.named_buffers()),
-            {"mean": mean, "variance": variance, "count": np.array(count)},
-        )
+        moments = {"mean": tensor(mean), "variance": tensor(variance), "count": torch.tensor(count)}
+        self.normaliser.load_state_dict(moments)
 
     def follow(self, keep: float) -> None:
         """Take the policy into its average, w <- keep w + (1 - keep) policy; at first they are the same."""

@@ -61,6 +61,7 @@ class Replay:
         put(self._kept(), arrays)
 
     def _kept(self) -> dict[str, torch.Tensor]:
+        """Return the rows that hold a sample, as a checkpoint names them."""
         return {f"replay.{name}": rows[: self.filled] for name, rows in self._rows.items()}
 
 

@@ -63,10 +63,8 @@ class Selection:
         """Whether an evaluation falls between the samples of the last call and these."""
         settings, before = self._job.settings, self._taken
         self._taken = samples
-        return (
-            before * settings.selections // settings.samples
-            < samples * settings.selections // settings.samples
-        )
+        first, last = (number * settings.selections // settings.samples for number in (before, samples))
+        return first < last
 
     def evaluate(self, samples: int, manifest: Mapping[str, Any], policy: Mapping[str, np.ndarray]) -> bool:
         """Evaluate a policy; returns whether it is the best one so far."""

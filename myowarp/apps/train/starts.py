@@ -94,6 +94,7 @@ class Backplay:
         put(self._filled(), arrays)
 
     def _filled(self) -> Arrays:
+        """Return the rows that hold a state, as a checkpoint names them."""
         return {KEEPS + name: rows[: self.filled] for name, rows in self.kept.items()}
 
 
