@@ -62,7 +62,7 @@ def test_a_checkpoint_has_the_noise_and_the_generator_of_every_rank(ranks):
         both = np.concatenate([rank[f"learned.{name}"] for rank in ranks])
         np.testing.assert_array_equal(ranks[0][f"saved.agent.{name}"], both)
     assert not np.isclose(*(rank["learned.noise.noise"] for rank in ranks)).any()
-    both = np.stack([rank["learned.torch_generator"] for rank in ranks])
+    both = np.concatenate([rank["learned.torch_generator"] for rank in ranks])
     np.testing.assert_array_equal(ranks[0]["saved.agent.torch_generator"], both)
 
 
