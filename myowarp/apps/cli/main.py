@@ -67,6 +67,7 @@ COMMANDS: dict[str, type[Callable[[], None]]] = {
 }
 VERSIONS = ("mujoco", "mujoco-warp", "warp-lang", "myo-sim")
 """Packages that numbers depend on, besides ours."""
+CONFIG = (tyro.conf.FlagCreatePairsOff,)
 LONG = re.compile("--[a-z]")
 OPTION = re.compile(r"^[│ ] (?:-\w(?: \w+)?, )?(--[a-z][a-z-]*)", re.MULTILINE)
 """An option, where tyro's help begins to explain it."""
@@ -94,7 +95,7 @@ def _unknown_option() -> str:
 
     "" where it has all of them.
     """
-    typed, beside, kinds = "", "", COMMANDS
+    typed, beside, kinds, kind = "", "", COMMANDS, object
     for word in sys.argv[1:]:
         if word in kinds:
             typed, beside, kind = f"{typed} {word}".strip(), typed, kinds[word]
@@ -121,7 +122,7 @@ def _options(kind: type) -> list[str]:
     """Return the options of a command, as its help lists them."""
     shown = io.StringIO()
     with contextlib.redirect_stdout(shown), contextlib.suppress(SystemExit):
-        tyro.cli(kind, args=["--help"])
+        tyro.cli(kind, args=["--help"], config=CONFIG)
     return OPTION.findall(shown.getvalue())
 
 
@@ -147,8 +148,8 @@ def _chosen() -> Callable[[], None]:
         ValueError: It does not have an option.
         SystemExit: It was only explained, or tyro has said what is wrong.
     """
-    read = functools.partial(
-        tyro.cli, _one_of(COMMANDS), prog="myowarp", description=ABOUT, config=(tyro.conf.FlagCreatePairsOff,)
+    read: Callable[..., Callable[[], None]] = functools.partial(
+        tyro.cli, _one_of(COMMANDS), prog="myowarp", description=ABOUT, config=CONFIG
     )
     try:
         return read(console_outputs=False)
