@@ -214,7 +214,8 @@ class Framing:
         away *= (1.0, 1.0, 0.0)  # an arm that hangs is beside the trunk, too
         if len(self._objects):
             look.pose(model, data, look.rest_pose(model))
-            beside = look.geom_box(model, data, self._objects).mean(axis=0) - end
+            ways = data.geom_xpos[self._objects] - end
+            beside = ways[np.linalg.norm(ways, axis=1).argmin()]  # a goal beside the hand does not count
             if np.linalg.norm(beside) < np.linalg.norm(ends[0] - end, axis=1).max():
                 away = beside  # what a hand holds is before it, not behind it
         return ends[0], np.concatenate(ends), np.concatenate(clouds), away
