@@ -26,6 +26,7 @@ from rich.table import Table
 from benchmarks.machine import processor
 from myowarp.apps.reports.machine import used_seconds
 from myowarp.disk import plain
+from myowarp.inks import BLUE, ORANGE, SKY
 
 ROOT = Path(__file__).parents[1]
 TASKS = {
@@ -43,7 +44,7 @@ CONTESTANTS = {
     "envpool": "EnvPool",
     "myosuite_async": "MyoSuite async",
 }
-COLORS = {"myowarp": "#1f5fa8", "myowarp_sac": "#7fb0e0", "envpool": "#d9822b", "myosuite_async": "#777777"}
+COLORS = {"myowarp": BLUE, "myowarp_sac": SKY, "envpool": ORANGE, "myosuite_async": "#777777"}
 DIFFERENCES = {
     "MyoWarp": "the preset's physics, as in the training of the baselines; success under parity is in "
     "docs/baselines.md",

@@ -33,6 +33,7 @@ import warp as wp
 from myowarp.apps.reports import panel
 from myowarp.coordinates.step import step_of
 from myowarp.definitions.muscle import MUSCLES
+from myowarp.inks import BLUE, PINK
 from myowarp.laws.muscles.hill_law import OPENSIM_LAWS
 from myowarp.muscle import Muscles
 from myowarp.osim.body.on_device import lengths_and_moment_arms
@@ -372,8 +373,8 @@ def draw(result: dict[str, Any]) -> None:
         figure = panel.blank(7.2, 0.5 * len(models) + 1.5)
         axes = figure.subplots()
         for shift, kind, color, label in (
-            (-0.17, "mujoco", "#b9a3d6", "MuJoCo's fitted muscles"),
-            (0.17, "opensim", "#2f76b5", "own muscles"),
+            (-0.17, "mujoco", PINK, "MuJoCo's fitted muscles"),
+            (0.17, "opensim", BLUE, "own muscles"),
         ):
             each = [[median_of(run) for run in row[kind].values()] for row in models.values()]
             places = np.arange(len(models)) + shift

@@ -7,7 +7,9 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-COLORS = {"OpenSim": "#b3362b", "MuJoCo C": "#6b6b6b", "MyoWarp": "#1f5fa8"}
+from myowarp.inks import BLUE, VERMILION
+
+COLORS = {"OpenSim": VERMILION, "MuJoCo C": "#6b6b6b", "MyoWarp": BLUE}
 STYLES = {"accuracy 1e-3": ":", "1 core": "--"}
 LABEL_GAP = 1.5  # between labels, as a ratio of rates
 LEAST_SHARE = 0.85  # of its cores that a contestant must have had

@@ -8,6 +8,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from myowarp.inks import BLUE, ORANGE
+
 JUDGED_SIZE = 256  # worlds; the other sizes are in the table beside it
 AIMED_AT = ("parity/EnvPool", "fast/EnvPool", "parity/MyoSuite", "fast/MyoSuite")
 SIMPLE, FINGER, HAND, CONTACT = (
@@ -32,7 +34,7 @@ GOALS = {
 }
 """Ratios that we want to reach, to EnvPool and the better of MyoSuite's two, or to MuJoCo C."""
 PRESETS = ("parity", "fast")
-COLORS = {"parity": "#1f5fa8", "fast": "#d9822b"}
+COLORS = {"parity": BLUE, "fast": ORANGE}
 
 
 def _spread(values: Sequence[float], digits: int = 3) -> dict[str, float]:

@@ -41,6 +41,7 @@ ROOMS = (
     "process",
     "disk",
     "extras",
+    "inks",
     "progress",
 )
 """The house from the top floor down; what a room imports, for types too, lies below it."""
@@ -682,3 +683,19 @@ def test_docstrings_begin_with_a_noun_or_a_verb():
 def test_a_docstring_that_is_a_clause_is_found():
     module = ast.parse('"""What a body is."""\nA = 1\n"""Where it is."""\ndef f():\n    """Return it."""')
     assert [bool(CLAUSES.match(text)) for text in docstrings(module)] == [True, True, False]
+
+
+def test_colours_are_those_of_one_file():
+    """Greys, whose parts differ little, may stand anywhere."""
+
+    def parts(color):
+        return [int(color[k : k + 2], 16) for k in (0, 2, 4)]
+
+    refuse(
+        f"{name}:{node.lineno}: #{color} is none of inks.py"
+        for name in FILES.keys() - {"inks.py"}
+        for node in nodes(name)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+        for color in re.findall(r"#([0-9a-fA-F]{6})\b", node.value)
+        if max(parts(color)) - min(parts(color)) > 24
+    )

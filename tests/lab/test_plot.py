@@ -8,9 +8,10 @@ import pytest
 
 from myowarp.apps.cli.main import main
 from myowarp.apps.reports import figures
-from myowarp.apps.reports.motion_curves import COLORS, curves
+from myowarp.apps.reports.motion_curves import curves
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
+from myowarp.inks import INKS
 from myowarp.motion.storage import Storage, write_storage
 from myowarp.osim.bundle.couplings import couplings
 from myowarp.sim.build import oracle_model
@@ -189,8 +190,8 @@ def test_muscles_stand_in_the_groups_of_their_model(tmp_path):
         assert [axes.get_title() for axes in (knee, ankle)] == ["knee_ext", "ankle"]
         drawn = {line.get_ydata()[0]: (line.get_color(), line.get_linestyle()) for line in knee.lines}
         assert drawn == {
-            **{900.0: (COLORS[0], "-"), 800.0: (COLORS[0], "--")},
-            **{100.0: (COLORS[1], "-"), 200.0: (COLORS[1], "--")},
+            **{900.0: (INKS[0], "-"), 800.0: (INKS[0], "--")},
+            **{100.0: (INKS[1], "-"), 200.0: (INKS[1], "--")},
         }
         assert [text.get_text() for text in knee.get_legend().texts] == ["vasti", "rect_fem"]
         assert knee.get_ylabel() == "[N]"
@@ -212,21 +213,6 @@ def test_joint_reactions_are_drawn_as_resultants(tmp_path):
     np.testing.assert_allclose(component.lines[0].get_ydata(), 4.0 * 9.80665)
     with pytest.raises(ValueError, match=r"--mass is for forces .* got a column with the unit 'm'"):
         curves(path, ["knee_on_tibia_in_ground_px"], mass=13.0)
-
-
-def test_colors_differ_for_eyes_without_red_or_green_cones():
-    """In CIELAB after Machado et al. 2009 (doi:10.1109/TVCG.2009.113), full severity; 2.3 is just noticed."""
-    red = [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]
-    green = [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.01182, 0.04294, 0.968881]]
-    to_xyz = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
-    shown = np.array([[int(color[k : k + 2], 16) / 255 for k in (1, 3, 5)] for color in COLORS])
-    linear = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
-    for seen in (np.eye(3), np.array(red), np.array(green)):
-        xyz = np.clip(linear @ seen.T, 0.0, 1.0) @ np.array(to_xyz).T / (0.95047, 1.0, 1.08883)
-        x, y, z = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16 / 116).T
-        lab = np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=1)
-        apart = np.linalg.norm(lab[:, None] - lab, axis=2)[np.triu_indices(len(COLORS), 1)]
-        assert apart.min() > 15.0
 
 
 def test_a_motion_has_the_size_of_a_journal(capsys, monkeypatch, tmp_path):

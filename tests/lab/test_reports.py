@@ -12,6 +12,7 @@ from myowarp.apps.reports.result import POSITIVE, Merit, both, merits, read_clai
 from myowarp.apps.studies.audit import figures
 from myowarp.apps.studies.reproduce.catalog import EXPERIMENTS
 from myowarp.apps.studies.reproduce.report import CLAIMS
+from myowarp.inks import BLUE, INKS
 
 # t that Student's distribution stays below with probability 0.975, from any printed table.
 STUDENT = {1: 12.706, 2: 4.303, 4: 2.776, 9: 2.262, 30: 2.042}
@@ -152,7 +153,7 @@ def test_marks_show_seeds_and_figures_have_no_date(tmp_path):
     with panel.style():
         figure = panel.blank(3.0, 2.0)
         axes = figure.subplots()
-        panel.band(axes, (0.0, 1.0), panel.extent(values), color=panel.COLORS[0])
+        panel.band(axes, (0.0, 1.0), panel.extent(values), color=BLUE)
         panel.bars(axes, np.arange(2), values, 0.5)
         line, dots = axes.lines
         np.testing.assert_array_equal(line.get_ydata(), (2.0, 5.0))
@@ -167,3 +168,22 @@ def test_marks_show_seeds_and_figures_have_no_date(tmp_path):
             assert picture.startswith(b"%PDF" if form == "pdf" else b"<?xml")
             assert b"dc:date" not in picture
             assert b"CreationDate" not in picture
+
+
+def test_inks_differ_for_eyes_without_a_kind_of_cones():
+    """Red, green or blue ones: in CIELAB, where 2.3 is noticed, after Machado et al. 2009, full severity.
+
+    doi:10.1109/TVCG.2009.113
+    """
+    red = [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]
+    green = [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.01182, 0.04294, 0.968881]]
+    blue = [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.3039]]
+    to_xyz = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    shown = np.array([[int(color[k : k + 2], 16) / 255 for k in (1, 3, 5)] for color in INKS])
+    linear = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
+    for seen in (np.eye(3), np.array(red), np.array(green), np.array(blue)):
+        xyz = np.clip(linear @ seen.T, 0.0, 1.0) @ np.array(to_xyz).T / (0.95047, 1.0, 1.08883)
+        x, y, z = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16 / 116).T
+        lab = np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=1)
+        apart = np.linalg.norm(lab[:, None] - lab, axis=2)[np.triu_indices(len(INKS), 1)]
+        assert apart.min() > 15.0

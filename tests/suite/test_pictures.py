@@ -13,7 +13,7 @@ from myowarp.models.muscles.mujoco import peak_force
 from myowarp.sim.build import full_model
 from myowarp.sim.simulation import Simulation
 from myowarp.view.drawing import style as look
-from myowarp.view.drawing.framing import Framing, view_axes
+from myowarp.view.drawing.framing import Framing, acting_bodies, view_axes
 from myowarp.view.drawing.muscles import QUANTITIES, RELAXED_RGB, TENSED_RGB, UNKNOWN_RGB, Muscles
 from myowarp.view.drawing.render import NoGraphicsError, WorldRenderer
 from myowarp.view.drawing.skeleton import Skeleton
@@ -62,6 +62,14 @@ OURS = tuple(BODIES)  # before tests add some
 def leg():
     """A body without geoms whose root slides away."""
     return mujoco.MjModel.from_xml_string(LEG)
+
+
+HELD = (
+    "myoChallengeBaodingP1-v2",
+    "myoHandKeyTurnRandom-v1",
+    "myoHandPenTwirlRandom-v1",
+    "myoHandReorient8-v0",
+)
 
 
 def posed(model, qpos=None):
@@ -143,6 +151,21 @@ def test_a_body_that_walks_is_seen_from_its_right(body):
     forward = view_axes(camera.azimuth, camera.elevation)[2]
     apart = data.body("femur_l").xpos - data.body("femur_r").xpos
     assert forward @ apart > 0.9 * np.linalg.norm(apart)
+
+
+@pytest.mark.parametrize(
+    "key", ["myoChallengeBaodingP1-v2", "myoHandKeyTurnRandom-v1", "myoHandPenTwirlRandom-v1"]
+)
+def test_what_a_hand_holds_is_before_it(key):
+    """Balls on a palm are not seen from its back."""
+    spec = TASKS[key]
+    model = full_model(spec)
+    data = posed(model)
+    camera = Framing(model, BODIES[spec.body].tips, ASPECT).camera(data, {})
+    forward = view_axes(camera.azimuth, camera.elevation)[2]
+    limb = look.limb_trees(model)
+    ways = data.xpos[look.mobile_bodies(model) & ~limb] - data.xpos[acting_bodies(model) & limb].mean(axis=0)
+    assert forward @ ways[np.linalg.norm(ways, axis=1).argmin()] < -0.01  # m
 
 
 def test_what_falls_far_away_does_not_shrink_the_limb(leg):

@@ -176,6 +176,7 @@ def test_curves_are_over_the_cycle_of_their_side_and_by_the_bodys_weight():
         assert [chart.title for chart in plain] == ["joint moment / N m", "force / N"]
         assert [curve.label for curve in plain[1].curves] == ["soleus_l", "soleus_r"]
         assert [bool(curve.dash) for curve in plain[0].curves] == [False, True]
+        assert [bool(curve.dash) for curve in plain[1].curves] == [True, False]  # left is, whichever is first
         np.testing.assert_allclose(plain[0].curves[0].values, plain[0].along)
         traces.percent = traces.by_weight = True
         moment, force = traces.charts()

@@ -1,7 +1,12 @@
 """The command `myowarp`: its subcommands, and how an error ends it."""
 
+import contextlib
+import difflib
+import functools
 import gc
+import io
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Mapping
@@ -62,6 +67,10 @@ COMMANDS: dict[str, type[Callable[[], None]]] = {
 }
 VERSIONS = ("mujoco", "mujoco-warp", "warp-lang", "myo-sim")
 """Packages that numbers depend on, besides ours."""
+CONFIG = (tyro.conf.FlagCreatePairsOff,)
+LONG = re.compile("--[a-z]")
+OPTION = re.compile(r"^[│ ] (?:-\w(?: \w+)?, )?(--[a-z][a-z-]*)", re.MULTILINE)
+"""An option, where tyro's help begins to explain it."""
 
 
 def _one_of(commands: Mapping[str, type], depth: int = 1) -> Any:
@@ -81,6 +90,42 @@ def _one_of(commands: Mapping[str, type], depth: int = 1) -> Any:
     return Union[tuple(kinds)]  # noqa: UP007
 
 
+def _unknown_option() -> str:
+    """Return which option the typed command does not have, and the nearest that it or a step beside it has.
+
+    "" where it has all of them.
+    """
+    typed, beside, kinds, kind = "", "", COMMANDS, object
+    for word in sys.argv[1:]:
+        if word in kinds:
+            typed, beside, kind = f"{typed} {word}".strip(), typed, kinds[word]
+            if not (below := getattr(kind, "COMMANDS", None)):
+                break
+            kinds = below
+    else:
+        return ""
+    own = _options(kind)
+    given = (word.partition("=")[0].replace("_", "-") for word in sys.argv[1:] if LONG.match(word))
+    if (option := next((name for name in given if name not in own), None)) is None:
+        return ""
+    owners = dict.fromkeys(own, typed)
+    for name, other in kinds.items() if beside else ():  # steps are about one motion, commands are not
+        for known in _options(other):
+            owners.setdefault(known, f"{beside} {name}")
+    if not (near := difflib.get_close_matches(option, owners, 1)):
+        return f"{typed} has no option {option}; myowarp {typed} --help lists its options"
+    owner = "it" if owners[near[0]] == typed else owners[near[0]]
+    return f"{typed} has no option {option}; {owner} has {near[0]}"
+
+
+def _options(kind: type) -> list[str]:
+    """Return the options of a command, as its help lists them."""
+    shown = io.StringIO()
+    with contextlib.redirect_stdout(shown), contextlib.suppress(SystemExit):
+        tyro.cli(kind, args=["--help"], config=CONFIG)
+    return OPTION.findall(shown.getvalue())
+
+
 def command() -> None:
     """Entry point of the command, in a process of its own."""
     gc.freeze()  # half a million objects of Warp's stay to the end; not looking through them saves a second
@@ -96,20 +141,32 @@ def command() -> None:
         sys.exit(128 + 13)  # SIGPIPE, which Windows does not name: what a shell reports of other tools
 
 
+def _chosen() -> Callable[[], None]:
+    """Return the command that was typed.
+
+    Raises:
+        ValueError: It does not have an option.
+        SystemExit: It was only explained, or tyro has said what is wrong.
+    """
+    read: Callable[..., Callable[[], None]] = functools.partial(
+        tyro.cli, _one_of(COMMANDS), prog="myowarp", description=ABOUT, config=CONFIG
+    )
+    try:
+        return read(console_outputs=False)
+    except SystemExit:
+        if sentence := _unknown_option():
+            raise ValueError(sentence) from None
+        return read()
+
+
 def main() -> None:
     """Run the command; errors are one sentence and exit status 2."""
     if sys.argv[1:] == ["--version"]:
         print(f"myowarp {version('myowarp')} ({', '.join(f'{name} {version(name)}' for name in VERSIONS)})")
         return
     wp.config.log_level = wp.LOG_ERROR
-    chosen: Callable[[], None] = tyro.cli(
-        _one_of(COMMANDS),
-        prog="myowarp",
-        description=ABOUT,
-        config=(tyro.conf.FlagCreatePairsOff,),
-    )
     try:
-        chosen()
+        _chosen()()
     except BrokenPipeError:
         raise
     except (ValueError, OSError, RuntimeError, ImportError, MemoryError) as error:

@@ -6,7 +6,8 @@ import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
 
-from myowarp.apps.reports.panel import COLORS, blank, save, style
+from myowarp.apps.reports.panel import blank, save, style
+from myowarp.inks import BLUE, ORANGE
 from myowarp.motion.emg import Agreement
 from myowarp.motion.storage import Storage
 
@@ -28,10 +29,8 @@ def draw_emg(path: Path, envelope: Storage, activation: Storage, found: Sequence
         grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
         for axes, one in zip(grid.flat, found, strict=False):
             emg = envelope.values[:, envelope.labels.index(one.muscle)]
-            axes.fill_between(envelope.time + one.delay, emg, color=COLORS[5], alpha=0.35, linewidth=0)
-            axes.plot(
-                activation.time, activation.values[:, activation.labels.index(one.muscle)], color=COLORS[0]
-            )
+            axes.fill_between(envelope.time + one.delay, emg, color=ORANGE, alpha=0.35, linewidth=0)
+            axes.plot(activation.time, activation.values[:, activation.labels.index(one.muscle)], color=BLUE)
             axes.set_title(f"{one.muscle}: r {one.correlation:.2f}, {1e3 * one.delay:.0f} ms later")
             axes.set_xlim(activation.time[0], activation.time[-1])
             axes.set_ylim(0.0, 1.02)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WIDTH = 8.0  # inches
-MOST = len(panel.COLORS)
+MOST = 12
 """Lines in a figure where none were chosen."""
 POINTS = 201
 STEP = 1e-4
@@ -226,7 +226,7 @@ def contraction(
         shown, left_out = _chosen(names, muscles, peak)
         said = f"Force over {axis}: {title}" if not models else one.muscles.model
         axes.set_title(said, color=panel.INK)
-        axes.set_prop_cycle(color=panel.COLORS)
+        axes.set_prop_cycle(**panel.LINES)
         for index in shown:
             line = axes.plot(norm[1, :, index], tension[1, :, index], label=names[index])[0]
             axes.plot(norm[0, :, index], tension[0, :, index], color=line.get_color(), linestyle=":")
@@ -337,7 +337,7 @@ def _axes(title: str) -> tuple[Figure, Axes]:
     figure = panel.blank(WIDTH, 4.8)
     axes = figure.subplots()
     axes.set_title(title, color=panel.INK)
-    axes.set_prop_cycle(color=panel.COLORS)
+    axes.set_prop_cycle(**panel.LINES)
     return figure, axes
 
 

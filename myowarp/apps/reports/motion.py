@@ -21,6 +21,7 @@ import numpy as np
 
 from myowarp.apps.reports import panel
 from myowarp.apps.reports.table import number
+from myowarp.inks import BLUE, VERMILION
 from myowarp.motion.gait import side_of
 from myowarp.motion.storage import Storage, read_storage
 from myowarp.motion.units import Angles
@@ -41,8 +42,8 @@ GRAVITY = 9.80665  # m/s^2
 REACTION = re.compile(r"(?P<joint>.+)_on_.+_in_.+_(?P<kind>[fmp])[xyz]")
 """Labels of joint reactions, as OpenSim writes them."""
 SIDES: dict[str, tuple[str, str, Literal["-", "--"]]] = {
-    "r": ("right", panel.COLORS[0], "-"),
-    "l": ("left", panel.COLORS[1], "--"),
+    "r": ("right", BLUE, "-"),
+    "l": ("left", VERMILION, "--"),
     "": ("", panel.INK, "-"),
 }
 """Word, color and form of a side's lines."""

@@ -20,6 +20,7 @@ from myowarp.apps.reports.motion import (
     root_mean_square,
 )
 from myowarp.definitions.registry import check_choice
+from myowarp.inks import INKS
 from myowarp.motion.gait import side_of
 from myowarp.motion.storage import Storage, read_storage
 from myowarp.osim.document.read.groups import read_groups
@@ -37,8 +38,6 @@ SINGLE, GROUPED = (4, 1.45), (3, 1.75)
 """Panels beside each other and height of a row [in]: of a quantity each, and of groups with their legends."""
 MOST = 12
 """Panels that are shown where none were chosen."""
-COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#000000")
-"""Of the quantities in a group: Okabe and Ito's, which eyes without red or green cones tell apart."""
 GROUP_SIDE = re.compile(r"^(?:[RrLl]|right|left)_|_[rl]$")
 UNITS = {part.file: part.unit for part in PARTS}
 Span = tuple[float, float]
@@ -132,8 +131,8 @@ def curves(
     for axes in grid[len(panels) :]:
         axes.set_visible(False)
     for axes, (title, names) in zip(grid, panels.items(), strict=False):
-        kept = sorted(names, key=lambda name: -size[name])[: len(COLORS)]
-        colors = {} if names == [title] else dict(zip(kept, COLORS, strict=False))
+        kept = sorted(names, key=lambda name: -size[name])[: len(INKS)]
+        colors = {} if names == [title] else dict(zip(kept, INKS, strict=False))
         for column in (column for column in found if column.name in kept):
             factor, unit = scaled(column.unit, mass)
             within, x = _window(table.time, column.side, cycles)

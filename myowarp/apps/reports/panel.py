@@ -12,16 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from myowarp.disk import in_place
+from myowarp.inks import INKS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 INK = "#222222"
-COLORS = (
-    *("#2f76b5", "#d9822b", "#3f9b63", "#b5446e", "#7d5ba6", "#7f7f7f"),
-    *("#0d3d6e", "#8a4b08", "#12603a", "#e59ab5", "#b9a3d6", "#bdb76b"),
-)
+LINES = {"color": 2 * INKS, "linestyle": len(INKS) * ("-",) + len(INKS) * ("--",)}
 """Of lines in one panel: no two look alike."""
 DPI = 110
 TICK = r"\mathdefault"

@@ -16,6 +16,7 @@ import numpy as np
 
 from myowarp.definitions.body import BODIES, POINT_JOINTS
 from myowarp.definitions.registry import check_choice
+from myowarp.inks import BLUE, VERMILION
 from myowarp.osim.bundle.bundle import COORDINATES
 from myowarp.osim.bundle.couplings import couplings, follow
 from myowarp.view.browser.chart import Chart, Curve, as_svg
@@ -32,7 +33,7 @@ POINTS = 61
 """Of a curve."""
 WIDTH, HEIGHT = 300, 210
 """px of the chart."""
-OURS, THEIRS = "#1d4ed8", "#b45309"
+OURS, THEIRS = BLUE, VERMILION
 
 
 class BodyTab:

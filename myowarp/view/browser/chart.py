@@ -12,7 +12,6 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 INK, GRID, BORDER = "#1f2937", "#e5e7eb", "#9ca3af"
-TARGET_INK = "#15803d"
 LEFT, RIGHT, TOP, BOTTOM = 44, 8, 20, 20
 """px around a curve's area."""
 CHARACTER = 6

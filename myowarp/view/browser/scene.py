@@ -55,8 +55,9 @@ BELLY_BYTES = 120
 """Message that shapes a belly, without its points."""
 THINNEST = 0.002
 """Least radius of a tendon, in units of the framed radius."""
-FLOOR_REACH, LINE = 6.0, 0.0015
-"""Half a side of the squares on the floor, and the radius of their lines, in units of the framed radius."""
+FLOOR_REACH, LINE = 6.0, 0.003
+"""Half a side of the squares on the floor, and the radius of their lines, in units of the framed radius: a pixel
+or two of a small page. Lines lie on the floor, not in it, where depths are too coarse to keep them in sight."""
 PLANE_REACH = 200.0
 """Half a side of a plane, which has no end, in units of the framed radius: its corners are at the horizon."""
 HEAD = 2.5
@@ -343,7 +344,7 @@ class Floor:
         self._cell = float(10.0 ** np.floor(np.log10(radius)))
         self._reach = np.ceil(FLOOR_REACH * radius / self._cell) * self._cell
         self._height, self._radius, self._hidden = (
-            floor_height(model),
+            floor_height(model) + LINE * radius,
             radius,
             not (framing.follows or (always and not has_plane(model))),
         )

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from myowarp.inks import BLUE, RED, SKY
 from myowarp.kernels.episode import SUCCESS_RULE
 from myowarp.sim.economy import as_text
 from myowarp.view.browser.controls import Controls
@@ -14,7 +15,7 @@ from myowarp.view.browser.session import Session
 from myowarp.view.drawing import style as look
 from myowarp.view.drawing.muscles import Quantity
 
-GOOD, BAD, BAR = "#047857", "#b91c1c", "#93c5fd"
+GOOD, BAD, BAR = BLUE, RED, SKY
 BAR_WIDTH = 6.0
 """em of the longest bar of a reward term."""
 

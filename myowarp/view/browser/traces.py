@@ -10,19 +10,18 @@ import mujoco
 import numpy as np
 
 from myowarp.definitions.registry import check_choice
-from myowarp.view.browser.chart import TARGET_INK, Chart, Curve, as_png, as_svg
+from myowarp.inks import BLACK, BLUE, GREEN, PINK, VERMILION
+from myowarp.view.browser.chart import Chart, Curve, as_png, as_svg
 from myowarp.view.browser.controls import View, Wishes
 from myowarp.view.browser.history import History
 from myowarp.view.browser.page_style import TRACES as CLASS
 from myowarp.view.browser.readings import Kind
 from myowarp.view.drawing.framing import view_axes
 
-INKS = ("#1d4ed8", "#b91c1c", "#047857", "#b45309")
-"""Of the shown world's curves in a chart."""
-TWIN_INKS = ("#60a5fa", "#f472b6", "#84cc16", "#fbbf24")
-"""Of the twin's, which are dashed."""
+CURVES = (BLUE, VERMILION, PINK, BLACK)
+"""Of the curves in a chart; those of the twin are dashed, targets are green as in the picture."""
 DASH, TARGET_DASH = (6, 4), (2, 3)
-MOST = len(INKS)
+MOST = len(CURVES)
 """Curves of one quantity."""
 MOST_CHARTS = 4
 """Quantities side by side."""
@@ -171,15 +170,15 @@ class LiveTraces(Traces):
         found = []
         for kind, items in self.by_kind().items():
             curves = []
-            for item, ink, twin_ink in zip(items, INKS, TWIN_INKS, strict=False):
+            for item, ink in zip(items, CURVES, strict=False):
                 index = self._kinds[kind].items.index(item)
                 curves.append(Curve(item, history.values(kind, index, False), ink))
                 if beside:
                     values = history.values(kind, index, True)
-                    curves.append(Curve(f"{item} before", values, twin_ink, DASH))
+                    curves.append(Curve(f"{item} before", values, ink, DASH))
                 targets = history.targets(kind, index)
                 if np.isfinite(targets).any():
-                    curves.append(Curve(f"{item} target", targets, TARGET_INK, TARGET_DASH))
+                    curves.append(Curve(f"{item} target", targets, GREEN, TARGET_DASH))
             found.append(Chart(titled(kind, self._kinds[kind].unit), times, curves, borders))
         return found
 

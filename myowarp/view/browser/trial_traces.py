@@ -8,7 +8,7 @@ from myowarp.motion.gait import PERCENT, mirrored, over_cycle, side_of
 from myowarp.view.browser.chart import Chart, Curve, as_csv
 from myowarp.view.browser.controls import Wishes
 from myowarp.view.browser.readings import Kind
-from myowarp.view.browser.traces import DASH, INKS, TARGET_DASH, Traces, titled
+from myowarp.view.browser.traces import CURVES, DASH, TARGET_DASH, Traces, titled
 from myowarp.view.browser.widgets import Widgets
 from myowarp.view.drawing.recorded import Recorded
 
@@ -67,17 +67,19 @@ class TrialTraces(Traces):
         for kind, items in self.by_kind().items():
             course, curves = recorded.courses[kind], []
             factor, unit = self._measure(course.unit)
-            for item, ink in zip(items, INKS, strict=False):
-                for name, dash in ((item, ()), (mirrored(item), DASH)):
-                    if name not in course.items or (dash and (name in items or not self.sides)):
+            for item, ink in zip(items, CURVES, strict=False):
+                for name in dict.fromkeys((item, mirrored(item)) if self.sides else (item,)):
+                    if name not in course.items or (name != item and name in items):
                         continue
+                    side = side_of(name)[1]
+                    dash = DASH if self.sides and side == "l" else ()  # of each item alike, as in figures
                     index = course.items.index(name)
                     shown = [(name, course.values[:, index], dash)]
                     if course.measured is not None and np.isfinite(course.measured[:, index]).any():
                         shown.append((f"{name} EMG", course.measured[:, index], TARGET_DASH))
                     for label, values, pattern in shown:
                         drawn = (
-                            over_cycle(recorded.time, values, recorded.cycle_of(side_of(name)[1]))
+                            over_cycle(recorded.time, values, recorded.cycle_of(side))
                             if percent
                             else values[kept]
                         )

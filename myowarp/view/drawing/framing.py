@@ -193,7 +193,8 @@ class Framing:
 
         Returns:
             Points [m] of the limb's end at rest and over the ranges, all points over the ranges, and the way
-            from the motionless geoms to the limb's end.
+            to where the camera is: from the limb's end to objects that are at it, else level from the
+            motionless geoms to the limb's end.
         """
         model = self._model
         clouds: list[np.ndarray] = []
@@ -208,7 +209,15 @@ class Framing:
             ends.append(look.geom_box(model, data, self._end) if len(self._end) else clouds[-1])
         if not len(clouds[0]):
             raise ValueError("the camera needs a geom or a muscle to look at, got a model with neither")
-        away = ends[0].mean(axis=0) - middle if middle is not None else np.zeros(3)
+        end = ends[0].mean(axis=0)
+        away = end - middle if middle is not None else np.zeros(3)
+        away *= (1.0, 1.0, 0.0)  # an arm that hangs is beside the trunk, too
+        if len(self._objects):
+            look.pose(model, data, look.rest_pose(model))
+            ways = data.geom_xpos[self._objects] - end
+            beside = ways[np.linalg.norm(ways, axis=1).argmin()]  # a goal beside the hand does not count
+            if np.linalg.norm(beside) < np.linalg.norm(ends[0] - end, axis=1).max():
+                away = beside  # what a hand holds is before it, not behind it
         return ends[0], np.concatenate(ends), np.concatenate(clouds), away
 
 
@@ -258,14 +267,13 @@ def broadside(rest: np.ndarray, motion: np.ndarray, away: np.ndarray) -> tuple[f
     """Azimuth and elevation [deg] that look at the flattest side of a limb, slightly turned.
 
     The camera looks along the direction in which the points spread least, at rest and in motion alike,
-    from the side on which the limb lies, level, as seen from the motionless part of the body.
+    from one of its two sides.
 
     Args:
         rest: Points in the reference pose [m], shape (n, 3).
         motion: Points over the range of motion [m], shape (m, 3).
-        away: Direction from the motionless part to the limb [m], shape (3,).
+        away: Way to the side from which the camera looks [m], shape (3,).
     """
-    away = away * (1.0, 1.0, 0.0)  # an arm that hangs is beside the trunk, too
     spread = sum(cov / np.trace(cov) for cov in (np.cov(rest.T), np.cov(motion.T)))
     forward = np.linalg.eigh(spread)[1][:, 0]
     along = forward @ away

@@ -13,9 +13,10 @@ from matplotlib.axes import Axes
 from myowarp.apps.reports import panel
 from myowarp.apps.studies.audit.figures import FIGURES, changes, findings
 from myowarp.apps.studies.audit.measure import Audit
+from myowarp.inks import BLUE, RED, SKY, VERMILION
 
-COLORS = {"zero": "#8a8f98", "random": "#2f6fb5", "extreme": "#d9622b"}
-BLOCKS = ("#2f6fb5", "#7aa6d6")  # neighbouring observation blocks
+COLORS = {"zero": "#8a8f98", "random": BLUE, "extreme": VERMILION}
+BLOCKS = (BLUE, SKY)  # neighbouring observation blocks
 SIZE = (15.0, 2.5)  # inches, one id
 BINS = 24
 SPACING = 0.042  # smallest distance of the labels of blocks, of the width
@@ -25,7 +26,6 @@ SHORTER: tuple[tuple[re.Pattern[str], Any], ...] = (
     (re.compile(r"\s*\n\s*"), "\n"),
 )
 """Makes an SVG of matplotlib's a third smaller: coordinates to a tenth of a point, one font, no indents."""
-RED = "#b3261e"  # of findings, here and in page.html
 NEVER = " (never fires)"
 TEMPLATE = Path(__file__).with_suffix(".html")
 

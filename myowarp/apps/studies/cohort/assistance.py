@@ -18,8 +18,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from myowarp.apps.reports.panel import COLORS, INK, blank
+from myowarp.apps.reports.panel import INK, blank
 from myowarp.apps.studies.cohort.plot import PALE, Groups, group_patients, label, outcome
+from myowarp.inks import BETTER, WORSE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -35,8 +36,6 @@ CAPTION = (
     "episode. Saved: effort without assistance less effort, at the same strength, in points, over the size "
     "of the mean torque of the exoskeleton. Orange: the darker, the worse; blue: the darker, the better."
 )
-WORSE, BETTER = ("#fdf6ee", COLORS[1], COLORS[7]), ("#f4f8fb", COLORS[0], COLORS[6])
-"""Colors from low to high of what patients want little of, and much of."""
 
 
 def read_summary(folder: Path) -> tuple[pd.DataFrame, dict[str, Any]]:

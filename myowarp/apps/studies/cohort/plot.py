@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from myowarp.apps.reports.panel import COLORS, INK, band, blank, quarters, save, style
+from myowarp.apps.reports.panel import INK, band, blank, quarters, save, style
 from myowarp.apps.studies.cohort.run import CohortResult
+from myowarp.inks import INKS, shades
 from myowarp.sim.patient_columns import COLUMNS
 
 if TYPE_CHECKING:
@@ -27,14 +28,6 @@ if TYPE_CHECKING:
 MAX_PANELS = 6
 FEW = 6  # different entries that are shown one by one
 SHOWN_AS = {"rad": ("°", 180.0 / np.pi), "m": ("mm", 1000.0)}
-ORDERED = {  # from low to high: light to dark
-    1: ("#2f76b5",),
-    2: ("#8dbde0", "#0d3d6e"),
-    3: ("#9ecae8", "#4a90c8", "#0d3d6e"),
-    4: ("#a9cfe8", "#63a4d4", "#2f76b5", "#0d3d6e"),
-    5: ("#b7d7ec", "#7fb6dc", "#4a90c8", "#2263a3", "#0d3d6e"),
-    6: ("#b7d7ec", "#86badf", "#5a9ccf", "#377dbb", "#1f5c99", "#0d3d6e"),
-}
 PALE = "#666666"
 PADS = "figure.constrained_layout."
 LOOK = {"axes.grid": False, PADS + "h_pad": 0.08, PADS + "w_pad": 0.06}
@@ -74,7 +67,7 @@ def group_patients(entries: pd.Series) -> Groups:
         values = [value for value in values if value in common]
     if len(values) <= FEW:
         labels = [f"{value:g}" if numeric else value or "none" for value in values]
-        colors = ORDERED[len(values)] if numeric else COLORS[: len(values)]
+        colors = shades(len(values)) if numeric else INKS[: len(values)]
         return Groups(labels, np.array([entries == value for value in values]), True, colors)
     counts = entries.value_counts()
     tied = [value for value in counts.index if counts[value] >= 0.25 * len(entries)]
@@ -86,7 +79,7 @@ def group_patients(entries: pd.Series) -> Groups:
     digits = max(0, 1 - math.floor(math.log10(np.ptp(np.quantile(entries[rest], (0.25, 0.75))) or 1.0)))
     ends = [(entries[member].min(), entries[member].max()) for member in members]
     labels = [f"{low:.{digits}f}–{high:.{digits}f}" if low < high else f"{low:g}" for low, high in ends]
-    return Groups(labels, np.array(members), False, ORDERED[len(members)])
+    return Groups(labels, np.array(members), False, shades(len(members)))
 
 
 def draw_cohort(result: CohortResult, path: Path) -> None:

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from myowarp.apps.reports.panel import COLORS, band, blank, save, style
+from myowarp.apps.reports.panel import band, blank, save, style
+from myowarp.inks import BLUE
 
 SHOWN, COLUMNS = 24, 6
 
@@ -38,7 +39,7 @@ def draw_forces(
         grid = figure.subplots(rows, columns, squeeze=False, sharex=True)
         for axes, k in zip(grid.flat, chosen, strict=False):
             middle, low, high = (lines[n if len(lines) > 1 else 0][:, k] for n in (0, 1, 2))
-            band(axes, time, (low, middle, high), color=COLORS[0], linewidth=1.4)
+            band(axes, time, (low, middle, high), color=BLUE, linewidth=1.4)
             axes.set_title(muscles[k])
             axes.set_ylim(0.0, None)
         for axes in grid.flat[len(chosen) :]:

@@ -16,6 +16,7 @@ from myowarp.apps.reports.result import PERCENT, Merit
 from myowarp.apps.reports.table import read_numbers
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab
 from myowarp.apps.studies.reproduce.policies import Training
+from myowarp.inks import BLUE, GREEN, ORANGE, PINK, VERMILION
 from myowarp.kernels.episode import MYOSUITE
 
 if TYPE_CHECKING:
@@ -34,13 +35,7 @@ HARDLY = 50.0  # percent of the episodes
 MODES = ("deterministic", "sampled")
 SAMPLES, ENDING = 5_000_000, {"stop_success": 0.995}
 QUICK_TASKS = ("myoElbowPose1D6MFixed-v0", "myoElbowPose1D6MRandom-v0")
-COLORS = {
-    "ppo": "#1f5fa8",
-    "sac": "#3f9b63",
-    "flashsac": "#3f9b63",
-    "dagger": "#7d5ba6",
-    "improve": "#b5651d",
-}
+COLORS = {"ppo": BLUE, "sac": GREEN, "flashsac": GREEN, "dagger": PINK, "improve": ORANGE}
 """Of lines by algorithm; `flashsac` is what versions before the trainer of our own called SAC."""
 Curve = tuple[np.ndarray, np.ndarray]
 """Samples, and share of successful episodes."""
@@ -213,7 +208,7 @@ def draw(
     figure.set_figheight(1.75 * len(FAMILIES) + 0.6)
     panels = figure.subplots(len(FAMILIES), 2, sharex=True, sharey=True, squeeze=False)
     for axes, task in zip(panels.flat, TASKS, strict=True):
-        for name, curves, color in (("the paper's NPG", npg, "0.55"), ("TRPO", natural, "#b3362b")):
+        for name, curves, color in (("the paper's NPG", npg, "0.55"), ("TRPO", natural, VERMILION)):
             for samples, success in curves.get(task, ()):
                 axes.plot(samples / 1e6, 100.0 * success, color=color, linewidth=0.9, label=name)
         if (own := ours.get(task)) is not None:

@@ -12,6 +12,7 @@ from myowarp.apps.reports.result import PERCENT, Merit, rises
 from myowarp.apps.studies.reproduce.arm import CONTROL_DT, HEALTHY, MUSCLES, arms, follow
 from myowarp.apps.studies.reproduce.exo1 import CUFF
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab, Tick
+from myowarp.inks import BLUE, ORANGE, SKY, VERMILION
 from myowarp.models.bodies.arm_muscles import FATIGUE_RATES
 from myowarp.models.conditions import Exoskeleton, Fatigue3CCR, Load, Sarcopenia
 from myowarp.sim.signals import Signals
@@ -159,7 +160,7 @@ def draw(figure: Figure, results: list[dict[str, np.ndarray]], need: list[np.nda
         index, known = np.searchsorted(LEVELS, np.minimum(level, LEVELS[-1])), np.isfinite(level)
         strength, rate = 100.0 * result["strength"], result["fatigability"]
         chart.scatter(strength[known], rate[known], s=9, c=colours.to_rgba(index[known]), linewidths=0)
-        chart.scatter(strength[~known], rate[~known], s=12, marker="x", color="#b3261e", linewidths=0.9)
+        chart.scatter(strength[~known], rate[~known], s=12, marker="x", color=VERMILION, linewidths=0.9)
         chart.set(title=f"policy {seed}", xlabel="strength [%]", yscale="log")
         chart.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
         chart.minorticks_off()
@@ -168,7 +169,7 @@ def draw(figure: Figure, results: list[dict[str, np.ndarray]], need: list[np.nda
     bar.ax.set_yticklabels([f"{value:.0f} %" for value in percent])
     axes = errors.subplots()
     strength, error = (np.concatenate([r[name] for r in results]) for name in ("strength", "error"))
-    bounds, colors = np.linspace(*STRENGTH, 5), ("#b5446e", "#d9822b", "#4a90c8", "#0d3d6e")
+    bounds, colors = np.linspace(*STRENGTH, 5), (VERMILION, ORANGE, SKY, BLUE)
     for low, high, color in zip(bounds[:-1], bounds[1:], colors, strict=True):
         chosen = error[(strength >= low) & (strength < high)]
         if len(chosen):

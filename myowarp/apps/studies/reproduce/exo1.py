@@ -20,6 +20,7 @@ from myowarp.apps.studies.reproduce.arm import (
     run_groups,
 )
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab
+from myowarp.inks import BLUE, PINK, SKY, VERMILION
 from myowarp.models.conditions import Exoskeleton, Load
 
 if TYPE_CHECKING:
@@ -193,7 +194,7 @@ def draw(
     (angles, efforts), middle, (levels, legend) = figure.subplots(3, 2)
     time = CONTROL_DT * np.arange(1, len(results[0]["angle"]) + 1)
     angles.plot(time, results[0]["target"][:, 0], color="0.6", linestyle="--", label="target")
-    for a, label, color in ((0.0, "without", "#d9622b"), (ASSISTANCE, "with", "#2f6fb5")):
+    for a, label, color in ((0.0, "without", VERMILION), (ASSISTANCE, "with", BLUE)):
         g = GROUPS.index((BRACE, 2.0, a))
         angle = panel.extent([result["angle"][:, g] for result in results])
         effort = panel.extent([result["activation"][:, g, 3:].mean(axis=1) for result in results])
@@ -203,7 +204,7 @@ def draw(
     efforts.set(title="mean activation of the flexors", xlabel="time [s]", ylabel="activation")
     angles.legend(loc="upper left")
     places = np.arange(len(FLEXORS))
-    looks = {BRACE: (0.0, "#2f6fb5"), NEW: (0.2, "#7aa6c9"), DRIVEN: (0.4, "#7d5ba6")}
+    looks = {BRACE: (0.0, BLUE), NEW: (0.2, SKY), DRIVEN: (0.4, PINK)}
     for axes, quantity in zip(middle, PAPER_CHANGE, strict=True):
         axes.bar(places - 0.25, PAPER_CHANGE[quantity], 0.2, color="0.75", label="paper")
         for who, (shift, color) in looks.items():

@@ -31,6 +31,7 @@ from myowarp.apps.studies.reproduce.exo1 import (
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab
 from myowarp.apps.studies.reproduce.validation import passive_torque
 from myowarp.definitions.body import BODIES
+from myowarp.inks import BLUE, GREEN, PINK, VERMILION
 from myowarp.models.conditions import Exoskeleton, FatigueMa2009, Sarcopenia
 
 if TYPE_CHECKING:
@@ -250,7 +251,7 @@ def draw(
     figure.set_size_inches(8.0, 6.4)
     top, (levels, changes) = figure.subplots(2, 2)
     time = CONTROL_DT * np.arange(1, len(results[0]["angle"]) + 1)
-    colors = dict(zip(PAPER_ERROR, ("#3f9b63", "#2f6fb5", "#b5446e"), strict=True))
+    colors = dict(zip(PAPER_ERROR, (GREEN, BLUE, VERMILION), strict=True))
     for axes, quantity in zip(top, ("error", "activation"), strict=True):
         for g, (who, arm, a) in enumerate(GROUPS):
             if arm not in PAPER_ERROR or who != BRACE:
@@ -268,15 +269,15 @@ def draw(
     means, spreads = zip(*PAPER_ERROR.values(), strict=True)
     levels.bar(places - 0.3, means, 0.19, yerr=spreads, color="0.75", label="paper, with")
     looks = (
-        (-0.1, BRACE, ASSISTANCE, "#2f6fb5", "brace, with"),
-        (0.1, BRACE, 0.0, "#d9622b", "brace, without"),
-        (0.3, DRIVEN, ASSISTANCE, "#7d5ba6", "motor, with"),
+        (-0.1, BRACE, ASSISTANCE, BLUE, "brace, with"),
+        (0.1, BRACE, 0.0, VERMILION, "brace, without"),
+        (0.3, DRIVEN, ASSISTANCE, PINK, "motor, with"),
     )
     for shift, who, a, color, label in looks:
         own = errors[:, [GROUPS.index((who, arm, a)) for arm in PAPER_ERROR]]
         panel.bars(levels, places + shift, own, 0.19, color=color, label=label)
     levels.set(title="error in the last 5 s", ylabel="error [°]")
-    for shift, who, color, label in ((-0.1, BRACE, "#2f6fb5", "brace"), (0.2, DRIVEN, "#7d5ba6", "motor")):
+    for shift, who, color, label in ((-0.1, BRACE, BLUE, "brace"), (0.2, DRIVEN, PINK, "motor")):
         own = np.array([[change(r, "force", arm, who).mean() for arm in PAPER_ERROR] for r in results])
         panel.bars(changes, places + shift, own, 0.28, color=color, label=label)
     paper = [np.mean(PAPER_CHANGE["force"][arm]) for arm in PAPER_ERROR]

@@ -20,6 +20,7 @@ from myowarp.apps.studies.reproduce.arm import (
     synergists_share,
 )
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab
+from myowarp.inks import BLACK, INKS, VERMILION
 from myowarp.models.bodies.arm_muscles import ELBOW_EXTENSOR, ELBOW_FLEXOR
 from myowarp.models.conditions import Fatigue3CCR, FatigueMa2009, Load
 
@@ -42,9 +43,7 @@ CCR = {EMPTY: (1.0, 0.0), LOADED: (1.0, 2.0), LOADED_FRESH: (0.0, 2.0)}
 """Share of the muscle that tires, and load [kg]."""
 
 GROUPS = (*MA, *CCR)
-COLORS = dict(
-    zip(GROUPS, ("#3f9b63", "#d9622b", "#d9a441", "#2f6fb5", "#7d5ba6", "#b5446e", "#7f7f7f"), strict=True)
-)
+COLORS = dict(zip(GROUPS, INKS, strict=True))
 
 
 def run(lab: Lab) -> Findings:
@@ -167,8 +166,8 @@ def draw(
     held.plot(100.0 * fine, known, color="0.55", linewidth=3, label="people (Frey Law, Avin 2010)")
     held.fill_between(100.0 * fine, 0.5 * known, 2.0 * known, color="0.85", label="factor of two")
     for rates, muscle, label, color in (
-        (ELBOW_FLEXOR, 3, "flexors", "#222222"),
-        (ELBOW_EXTENSOR, 0, "extensors", "#8a4b08"),
+        (ELBOW_FLEXOR, 3, "flexors", BLACK),
+        (ELBOW_EXTENSOR, 0, "extensors", VERMILION),
     ):
         exact = [endurance.closed_form(f, rates) for f in fine]
         held.plot(100.0 * fine, exact, color=color, label=f"3CC-r, {label}")

@@ -25,6 +25,7 @@ from myowarp.apps.studies.reproduce.experiment import Lab, Tick
 from myowarp.apps.studies.reproduce.policies import Training
 from myowarp.definitions.condition import Condition
 from myowarp.definitions.setup import Setup
+from myowarp.inks import BLACK, BLUE, GREEN, ORANGE, PINK, SKY, VERMILION
 from myowarp.sim.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ INTACT = Training("key_turn", TASK, samples=4_000_000, settings={"stop_success":
 HORIZON, CONTROL_DT = 200, 0.02  # steps, s
 THRESHOLDS = (126.0, 160.0)  # deg
 LEAST_STEPS = 5  # beyond a threshold, more than this is success
-COLORS = ("#222222", "#c2452d", "#e09f3e", "#2a6f97", "#6a994e", "#7b5ea7", "#999999")
+COLORS = (BLACK, VERMILION, ORANGE, BLUE, GREEN, PINK, SKY)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from myowarp.apps.rollouts.run import run as roll
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab, Tick
 from myowarp.apps.studies.reproduce.policies import Training
 from myowarp.definitions.setup import Setup
+from myowarp.inks import BLUE, VERMILION
 from myowarp.sim.simulation import Simulation
 from myowarp.sim.state import get_state, set_state
 
@@ -35,7 +36,7 @@ LEARNER = {
 GRID = 0.02  # s, at which both are compared
 KICK = 10.0  # rad/s, standard deviation of what is added to each joint's velocity halfway
 SEED = 3_000_000
-COLORS = {"muscles": "#b3362b", "motors": "#1f5fa8"}
+COLORS = {"muscles": VERMILION, "motors": BLUE}
 MEASURED = ("success", "kicked", "acceleration", "work")
 
 

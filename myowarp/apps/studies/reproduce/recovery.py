@@ -12,6 +12,7 @@ from myowarp.apps.reports.result import Merit, merits
 from myowarp.apps.rollouts.run import run as roll
 from myowarp.apps.studies.reproduce.arm import CONTROL_DT, HEALTHY, MUSCLES, arms, follow
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab, Tick
+from myowarp.inks import BLUE, GREEN, ORANGE, PINK, VERMILION
 from myowarp.models.bodies.arm_muscles import ELBOW_FLEXOR, FATIGUE_RATES
 from myowarp.models.conditions import Fatigue3CCR, Load
 from myowarp.sim.signals import Signals
@@ -178,7 +179,7 @@ def draw(
     grid = figure.add_gridspec(2, 2)
     days, tired, errors = (figure.add_subplot(grid[place]) for place in ((0, slice(None)), (1, 0), (1, 1)))
     hours = np.array([24.0 * day + hour for day in range(DAYS) for hour in SHIFTS])
-    colors = ("#3f9b63", "#4a90c8", "#d9822b", "#b5446e")
+    colors = (GREEN, BLUE, ORANGE, PINK)
     for factor, color in zip(SHOWN, colors, strict=True):
         p = int(np.abs(np.log(slower / factor)).argmin())
         rate = ELBOW_FLEXOR.rest_recovery_factor * ELBOW_FLEXOR.recovery_rate * slower[p] * 3600.0
@@ -192,7 +193,7 @@ def draw(
     days.set(title="4 kg: fatigued motor units, flexors", xlabel="hour", ylabel="%")
     days.set_xticks(range(0, 24 * DAYS + 1, 12))
     morning = (DAYS - 1) * len(SHIFTS)
-    for w, (load, color) in enumerate(zip(LOADS, ("#b5446e", "#4a90c8"), strict=True)):
+    for w, (load, color) in enumerate(zip(LOADS, (VERMILION, BLUE), strict=True)):
         for values, style, label in (
             (before[:, morning, w], "-", f"{load:g} kg, third morning"),
             (after[:, -1, w], "--", f"{load:g} kg, last evening"),

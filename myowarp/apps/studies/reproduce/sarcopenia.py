@@ -22,6 +22,7 @@ from myowarp.apps.studies.reproduce.arm import (
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab
 from myowarp.apps.studies.reproduce.validation import curves
 from myowarp.definitions.body import BODIES
+from myowarp.inks import BLUE, GREEN, ORANGE, SKY, VERMILION
 from myowarp.models.conditions import Sarcopenia
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ ARMS = {
 """Strength and whose policy."""
 
 GROUPS = tuple((arm, a, b) for a, b in PAIRS for arm in ARMS)
-COLORS = dict(zip(ARMS, ("#3f9b63", "#d9622b", "#2f6fb5", "#a5d3b5", "#efb899"), strict=True))
+COLORS = dict(zip(ARMS, (GREEN, VERMILION, BLUE, SKY, ORANGE), strict=True))
 FIRST = "{:.0f} to {:.0f}°".format(*PAIRS[0])
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from myowarp.apps.reports.result import Merit
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab
+from myowarp.inks import BLACK, BLUE, GREEN, ORANGE, SKY, VERMILION
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 RECORD = Path(__file__).with_name("opensim_speed.json")
 PAPER = 60.0, 4000.0  # times as fast as OpenSim, least and greatest
 OPENSIM, LOOSE, MUJOCO = "OpenSim", "OpenSim, accuracy 1e-3", "MuJoCo C, 1 thread"
-COLORS = ("#6b6b6b", "#7aa6c9", "#1f5fa8", "#0b2f57")
+COLORS = (BLACK, SKY, GREEN, BLUE)
 
 
 def run(lab: Lab) -> Findings:
@@ -97,8 +98,8 @@ def draw(figure: Figure, report: dict[str, Any]) -> None:
             axes.errorbar(
                 muscles, median, (median - low, high - median), color=color, marker="o", ms=4, label=who
             )
-        axes.axhspan(*PAPER, color="#e09f3e", alpha=0.15, label="paper's range" if name == "arm26" else None)
-        axes.axhline(1.0, color="#b3362b", linewidth=1.0)
+        axes.axhspan(*PAPER, color=ORANGE, alpha=0.15, label="paper's range" if name == "arm26" else None)
+        axes.axhline(1.0, color=VERMILION, linewidth=1.0)
         axes.set(title=name, xscale="log", yscale="log", xlabel="muscles")
         muscles, _ = ratios(model, OPENSIM)
         axes.set_xticks(muscles, [str(number) for number in muscles])

@@ -10,6 +10,7 @@ from myowarp.apps.reports import panel
 from myowarp.apps.reports.result import both, merits, rises, stays
 from myowarp.apps.studies.reproduce import key
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab
+from myowarp.inks import SKY
 from myowarp.models.conditions import TendonTear
 
 if TYPE_CHECKING:
@@ -102,7 +103,7 @@ def draw(figure: Figure, turns: list[key.Turns]) -> None:
     figure.set_figheight(6.4)
     (shares, angles), bottom = figure.subplots(2, 2)
     place, names = np.arange(len(GROUPS)), ["intact", *(f"no {name}" for name in TORN)]
-    panel.bars(shares, place, key.success(turns)[:, 1], 0.6, color="#9ab8cc")
+    panel.bars(shares, place, key.success(turns)[:, 1], 0.6, color=SKY)
     shares.set(title="Success at 160°, drawn actions", ylabel="episodes [%]", ylim=(0, 105))
     shares.set_xticks(place, names)
     key.draw_rotations(angles, turns, names)

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from myowarp.apps.reports.panel import COLORS
 from myowarp.apps.reports.result import POSITIVE, Merit, both, rises
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab, Tick
 from myowarp.definitions.body import BODIES
+from myowarp.inks import INKS, VERMILION
 from myowarp.osim.bundle.couplings import follow
 
 if TYPE_CHECKING:
@@ -473,7 +473,7 @@ def draw(figure: Figure, bodies: dict[str, list[Pair]], converted: dict[str, Con
         (pulls, 1.0, "passive force [Fmax]", lambda p, i: p.force[i][:, 0]),
     )
     for axes, scale, title, of in curves_of:
-        for color, pair in zip(COLORS, elbow, strict=False):
+        for color, pair in zip(INKS, elbow, strict=False):
             angle = np.degrees(pair.angle)
             axes.plot(angle, scale * of(pair, 1), color=color, linewidth=4.0, alpha=0.3)
             axes.plot(angle, scale * of(pair, 0), color=color, linewidth=1.2, label=pair.muscle)
@@ -486,7 +486,7 @@ def draw(figure: Figure, bodies: dict[str, list[Pair]], converted: dict[str, Con
     for name, one in converted.items():
         short = name.partition("_")[0]
         sets += [(f"{short},\nno fits", name, one.plain, "v"), (f"{short},\nfitted", name, one.fitted, "^")]
-    colors = [COLORS[i] for i in (0, 1, 2, 2, 3, 3)]
+    colors = [INKS[i] for i in (0, 1, 2, 2, 3, 3)]
     differences: tuple[tuple[Axes, Any, str, Callable[[list[Pair]], Iterable[float]]], ...] = (
         (slack, None, "passive force [% Fmax]", lambda found: force_rms(found, passive=True).values()),
         (bottom[0], PAPER_ARM, "moment arms [mm]", lambda found: [p.arm_rms for p in found]),
@@ -501,7 +501,7 @@ def draw(figure: Figure, bodies: dict[str, list[Pair]], converted: dict[str, Con
             axes.plot([x - 0.3, x + 0.3], [np.nanmean(values)] * 2, "k", linewidth=1.5)
             axes.plot([x - 0.2, x + 0.2], [np.nanmedian(values)] * 2, "k:", linewidth=1.5)
             if paper:
-                axes.plot([x - 0.4, x + 0.4], [paper[name][0]] * 2, color="#d9822b", linewidth=1.5)
+                axes.plot([x - 0.4, x + 0.4], [paper[name][0]] * 2, color=VERMILION, linewidth=1.5)
         axes.set_xticks(range(len(sets)), [label for label, *_ in sets], fontsize=8)
         axes.set(yscale="log", title=f"RMS difference, {title}")
     draw_markers(course, apart, converted)
@@ -511,14 +511,14 @@ def draw_markers(course: Axes, apart: Axes, converted: dict[str, Conversion]) ->
     """Draw the paths of arm26's markers over the elbow, and how far all markers are from OpenSim's."""
     moving = [path for one in converted.values() for path in one.markers if path.coordinate in JOINTS]
     moving = [path for path in moving if np.ptp(path.theirs, axis=0).max() > CONSISTENT]
-    for color, path in zip(COLORS * len(moving), moving, strict=False):
+    for color, path in zip(INKS * len(moving), moving, strict=False):
         course.plot(*path.theirs[:, :2].T, color=color, linewidth=4.0, alpha=0.3)
         course.plot(*path.ours[:, :2].T, color=color, linewidth=1.2)
     course.set(title="Paths of markers, converted", xlabel="forward [m]", ylabel="upward [m]", aspect="equal")
     for x, (_, one) in enumerate(converted.items()):
         values = np.array([path.apart for path in one.markers])
         spots = x + np.linspace(-0.28, 0.28, len(values))
-        apart.plot(spots, np.maximum(values, MARKER_FLOOR), "^", markersize=3, color=COLORS[2 + x], alpha=0.6)
+        apart.plot(spots, np.maximum(values, MARKER_FLOOR), "^", markersize=3, color=INKS[2 + x], alpha=0.6)
     apart.set_xticks(range(len(converted)), list(converted))
     apart.set(yscale="log", title="RMS distance of markers [mm]", xlim=(-0.6, max(len(converted), 1) - 0.4))
     if not moving:

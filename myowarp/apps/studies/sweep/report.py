@@ -13,13 +13,13 @@ from rich.table import Table
 from myowarp.apps.reports import panel, table
 from myowarp.apps.reports.result import Merit
 from myowarp.apps.studies.sweep.study import Run
+from myowarp.inks import BLUE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RUNS, TABLE, PLOT = "runs.csv", "table.csv", "study.png"
 ROW, WIDTH = 0.32, 3.4  # inches of a cell, of a panel
-COLOR = panel.COLORS[0]
 Results = Mapping[str, Mapping[str, Any]]
 
 
@@ -131,8 +131,8 @@ def _drawn(rows: list[dict[str, Any]]) -> Figure:
         for row in rows:
             if row["measure"] == name:
                 place, span = places[row["cell"]], (row["low"], row["high"])
-                axes.plot(span, (place, place), color=COLOR, linewidth=3, alpha=0.4)
-                axes.plot(row["mean"], place, "o", color=COLOR, markersize=5)
+                axes.plot(span, (place, place), color=BLUE, linewidth=3, alpha=0.4)
+                axes.plot(row["mean"], place, "o", color=BLUE, markersize=5)
         axes.set(xlabel=name, yticks=list(places.values()), yticklabels=list(places))
         axes.grid(visible=False, axis="y")
     for axes in panels[len(names) :]:

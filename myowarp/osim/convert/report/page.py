@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
+from myowarp.inks import BLUE, GREEN, ORANGE, RED, VERMILION
 from myowarp.osim.convert.check.dynamics import Dynamics
 from myowarp.osim.convert.compose.convert import Converted
 from myowarp.osim.convert.compose.visible_body import bones
@@ -27,6 +28,7 @@ LEAST_DIFFERENCE = 0.05
 """[max_isometric_force] of difference with the strongest color, at least."""
 VIEWS = (("from the right", 0, 1.0), ("from the left", 0, -1.0), ("from the front", 1, 1.0))
 """Title, axis of the world that points across, and its sign; z is up."""
+INKS = f":root {{ --ours: {BLUE}; --theirs: {ORANGE}; --good: {GREEN}; --bad: {RED}; --xml: {VERMILION} }}"
 STYLE = """
 body { font: 14px/1.45 system-ui, sans-serif; color: #1d2129; max-width: 1180px; margin: 2rem auto;
  padding: 0 1rem }
@@ -36,17 +38,18 @@ table { border-collapse: collapse; font-size: 12px; font-variant-numeric: tabula
 th, td { padding: .15rem .5rem; text-align: right; border-bottom: 1px solid #e8eaed } th { font-weight: 600 }
 th:first-child, td:first-child, td.text, th.text { text-align: left } .wide { overflow-x: auto }
 th.across { writing-mode: vertical-rl; transform: rotate(180deg); text-align: left; padding: .4rem .15rem }
-.good { color: #1b7f3b } .bad { color: #b3261e; font-weight: 600 } .note { color: #5f6670 }
+.good { color: var(--good) } .bad { color: var(--bad); font-weight: 600 } .note { color: #5f6670 }
 .legend span { margin-right: 1.4rem }
 svg { vertical-align: top; font: 9.5px system-ui, sans-serif; fill: #4a4f57 }
 svg .title { font-size: 11px; font-weight: 600; fill: #1d2129 }
 svg polyline { fill: none; stroke-linejoin: round }
 svg .x { text-anchor: middle } svg .y { text-anchor: end } svg .axis { fill: none; stroke: #9aa0a8 }
-svg .axis text { fill: #4a4f57; stroke: none } .reference { stroke: #f0b27a; stroke-width: 5 }
-.slope { stroke: #4a4f57; stroke-width: 1; stroke-dasharray: 2 2 } .own { stroke: #1f5fa8; stroke-width: 1.5 }
-.step { stroke: #1f5fa8; stroke-width: 1.5 } .xml { stroke: #b3261e; stroke-width: 1.2 }
-.mjb { stroke: #1b7f3b; stroke-width: 1.5; stroke-dasharray: 5 2 }
-.step-key { color: #1f5fa8 } .mjb-key { color: #1b7f3b } .xml-key { color: #b3261e }
+svg .axis text { fill: #4a4f57; stroke: none } .reference { stroke: var(--theirs); stroke-width: 5 }
+.slope { stroke: #4a4f57; stroke-width: 1; stroke-dasharray: 2 2 }
+.own { stroke: var(--ours); stroke-width: 1.5 }
+.step { stroke: var(--ours); stroke-width: 1.5 } .xml { stroke: var(--xml); stroke-width: 1.2 }
+.mjb { stroke: var(--good); stroke-width: 1.5; stroke-dasharray: 5 2 }
+.step-key { color: var(--ours) } .mjb-key { color: var(--good) } .xml-key { color: var(--xml) }
 .edge { stroke: #9aa0a8; stroke-width: 11; stroke-linecap: round }
 .bone { stroke: #eceef1; stroke-width: 9; stroke-linecap: round }
 .tendon { stroke-width: 1.6; stroke-linecap: round } .joint { fill: #4a4f57 }
@@ -69,7 +72,8 @@ def page(
     """Return the page of a conversion; `report` is the content of report.json."""
     title = escape(f"{report['name']}: OpenSim to MuJoCo")
     parts = [
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>',
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title>'
+        f"<style>{INKS}{STYLE}</style>",
         f"<h1>{title}</h1>",
         f'<p class="note">{escape(report["source"])}, document {report["document"]}, sha256 '
         f"{report['sha256'][:16]}; {escape(_counts(report['counts']))}.</p>",
