@@ -16,7 +16,8 @@ from myowarp.apps.train.run import train
 
 TASK = "myoElbowPose1D6MRandom-v0"
 CONDITIONS = ("sarcopenia(strength=Ramp(1.0, Uniform(0.2, 0.6, each=True), onset=Uniform(0.1, 0.4)))",)
-SMALL = {"device": "cpu", "hidden": (16,), "rollout_steps": 16, "num_worlds": 64, "samples": 16_384}
+SMALL = {"device": "cpu", "hidden": (64,), "rollout_steps": 16, "num_worlds": 64, "samples": 8192}
+WEAK = ("sarcopenia(strength=0.4)",)
 WORLDS = 8
 
 
@@ -24,7 +25,8 @@ WORLDS = 8
 def told(tmp_path_factory):
     """A policy that was told the parameters."""
     folder = tmp_path_factory.mktemp("memory") / "told"
-    train(plan(TASK, output=folder, conditions=CONDITIONS, observe=("parameters",), **SMALL))
+    fast = {"learning_rate": 1e-2, "average": 0.0}  # so that its actions soon differ
+    train(plan(TASK, output=folder, conditions=CONDITIONS, observe=("parameters",), **SMALL, **fast))
     return folder
 
 
@@ -32,19 +34,25 @@ def told(tmp_path_factory):
 def student(told):
     """A policy that remembers, and has learned from the one that was told."""
     folder = told.parent / "student"
-    fit = {"algorithm": "dagger", "expert": str(told), "expert_steps": 16, "gradient_steps": 8}
-    train(plan(TASK, output=folder, conditions=CONDITIONS, observe=("history=4",), **SMALL, **fit))
+    fit = {
+        "algorithm": "dagger",
+        "expert": str(told),
+        "expert_steps": 64,
+        "gradient_steps": 8,
+        "learning_rate": 2e-3,
+    }
+    train(plan(TASK, output=folder, conditions=WEAK, observe=("history=4",), **SMALL, **fit))
     return folder
 
 
 def simulation(*observe, conditions=CONDITIONS):
-    options = {"device": "cpu", "graph": False, "progress": False, "shards": 2}
+    options = {"device": "cpu", "progress": False, "shards": 2}
     sim = Simulation(TASKS[TASK], WORLDS, conditions=conditions, observe=observe, **options)
     sim.reset(seeds=np.arange(WORLDS))
     return sim
 
 
-def played(folder, sim, steps=30):
+def played(folder, sim, steps=12):
     """Return the actions of a policy."""
     act, actions = acting(find_policy(str(folder), TASKS[TASK]), sim), []
     for _ in range(steps):
@@ -54,19 +62,17 @@ def played(folder, sim, steps=30):
     return np.array(actions)
 
 
-@pytest.mark.parametrize(
-    "observe", [(), ("history=3",), ("history=3", "parameters"), ("parameters", "history=3")]
-)
-def test_whoever_is_told_acts_alike_wherever_more_or_less_is_observed(told, observe):
+def test_whoever_is_told_acts_alike_wherever_more_or_less_is_observed(told):
     own = played(told, simulation("parameters"))
-    np.testing.assert_array_equal(played(told, simulation(*observe)), own)
+    for observe in ((), ("history=3",), ("parameters", "history=3")):
+        np.testing.assert_array_equal(played(told, simulation(*observe)), own)
     assert (own != played(told, simulation("parameters", conditions=("sarcopenia(strength=1.0)",)))).any()
 
 
 def test_a_student_imitates_who_is_told(told, student):
     """Its actions follow its teacher's in the same states, where it was told nothing."""
     assert load_checkpoint(student).manifest["settings"]["observe"] == ["history=4"]
-    sim = simulation("history=4", "parameters")
+    sim = simulation("history=4", "parameters", conditions=WEAK)
     teacher, pupil = (acting(find_policy(str(f), TASKS[TASK]), sim) for f in (told, student))
     wrong, size = [], []
     for _ in range(40):
@@ -76,8 +82,7 @@ def test_a_student_imitates_who_is_told(told, student):
         size.append(np.abs(wanted).mean())
         sim.action.assign(done)
         sim.step()
-    assert np.mean(size) > 0.1
-    assert np.mean(wrong) < 0.4 * np.mean(size)
+    assert np.mean(wrong) < 0.1 * np.mean(size)
 
 
 def test_numpy_sees_the_history_that_torch_was_trained_with(student):
