@@ -84,6 +84,7 @@ class MyoWarpVectorEnv(VectorEnv):
         muscle: str | MuscleTable | None = None,
         reset: str | None = None,
         conditions: str | Condition | Iterable[str | Condition] | None = None,
+        observe: str | Iterable[str] | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         output: str = "numpy",
         copy: bool | None = None,
@@ -113,6 +114,8 @@ class MyoWarpVectorEnv(VectorEnv):
             reset: What episodes start from: "task", "fixed", "random" or "none"
                 (`myowarp.definitions.task.RESETS`); None: "task".
             conditions: Muscle conditions: names in `CONDITIONS`, or `Condition` objects with parameters.
+            observe: What is observed besides the task's own: "history=8", the last 8 observations and
+                actions; "parameters", what the conditions make of the body now.
             autoreset_mode: When a finished world starts its next episode.
             output: Arrays of this library: "numpy", "torch" or "warp".
             copy: Whether returned arrays are copies; None: copies for numpy, views otherwise.
@@ -154,6 +157,7 @@ class MyoWarpVectorEnv(VectorEnv):
             muscle=muscle,
             reset=reset,
             conditions=conditions,  # type: ignore[arg-type]  # which makes a tuple of it
+            observe=observe,  # type: ignore[arg-type]  # likewise
             horizon=max_episode_steps,
             device=device,
             shards=shards,

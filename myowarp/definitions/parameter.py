@@ -32,14 +32,14 @@ class Uniform:
     """A number drawn from U(low, high).
 
     Attributes:
-        low: Lower bound.
-        high: Upper bound.
+        low: Lower bound; a number, or one per world.
+        high: Upper bound, of the same kinds.
         per: "episode" draws anew in every episode, "life" once for every seeded reset.
         each: Whether every muscle draws its own number, or all of a world share one.
     """
 
-    low: float
-    high: float
+    low: float | Sequence[float] | npt.NDArray[np.floating]
+    high: float | Sequence[float] | npt.NDArray[np.floating]
     per: str = "episode"
     each: bool = False
 
@@ -51,14 +51,14 @@ class Ramp:
     Attributes:
         start: Before the onset: a number, one per world, or a `Uniform`.
         end: After the change, of the same kinds.
-        onset: When the change begins [s].
+        onset: When the change begins [s], of the same kinds; one time for all muscles.
         duration: How long it takes [s]; 0 is a step.
         of: Time since the begin of the "episode", or of the "life", which goes on through resets.
     """
 
     start: Fixed | Uniform
     end: Fixed | Uniform
-    onset: float = 0.0
+    onset: float | Sequence[float] | npt.NDArray[np.floating] | Uniform = 0.0
     duration: float = 0.0
     of: str = "episode"
 
@@ -92,15 +92,15 @@ class Curve:
     Attributes:
         start: Value before the onset, shape (1 or num_worlds, 1 or num_muscles).
         end: Value after the change, of the same shape.
-        onset: When the change begins [control steps]; in seconds, the step at 10 x 0.02 s could come before
-            0.2 s in float32.
+        onset: When the change begins [control steps], shape (1 or num_worlds, 1); in seconds, the step at
+            10 x 0.02 s could come before 0.2 s in float32.
         duration: How long it takes [control steps].
         lifelong: Whether time counts from the seeded reset rather than from the episode's begin.
     """
 
     start: wp.array2d[float]
     end: wp.array2d[float]
-    onset: float
+    onset: wp.array2d[float]
     duration: float
     lifelong: bool
 
@@ -110,7 +110,7 @@ def value_of(curve: Curve, clock: Clock, worldid: int, i: int) -> float:
     """Return the value of entry i in a world now."""
     row, column = worldid % curve.start.shape[0], i % curve.start.shape[1]
     steps = wp.where(curve.lifelong, clock.life_count[worldid], clock.step_count[worldid])
-    elapsed = float(steps) - curve.onset
+    elapsed = float(steps) - curve.onset[worldid % curve.onset.shape[0], 0]
     share = wp.where(elapsed >= 0.0, 1.0, 0.0)
     if curve.duration > 0.0:
         share = wp.clamp(elapsed / curve.duration, 0.0, 1.0)
@@ -120,11 +120,11 @@ def value_of(curve: Curve, clock: Clock, worldid: int, i: int) -> float:
 @wp.kernel(enable_backward=False)
 def draw_uniform(
     # Params:
-    low: float,
-    high: float,
     lifelong: bool,
     stream: int,
     # In:
+    low: wp.array2d[float],
+    high: wp.array2d[float],
     keys: RandomKeys,
     mask: wp.array[bool],
     # Out:
@@ -137,8 +137,28 @@ def draw_uniform(
     if lifelong and keys.episode[worldid] != 1:
         return
     state = open_stream(keys, worldid, stream)
+    row = worldid % low.shape[0]
     for i in range(values.shape[1]):
-        values[worldid, i] = wp.randf(state, low, high)
+        values[worldid, i] = wp.randf(state, low[row, 0], high[row, 0])
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What is drawn for a parameter; arrays with a row a world have one for all where they agree.
+
+    Attributes:
+        low: Lower bounds, shape (1 or num_worlds, 1).
+        high: Upper bounds, of the same shape.
+        lifelong: Whether it stays until a world is seeded again.
+        values: What was drawn, shape (num_worlds, 1 or num_muscles).
+        stream: Of random numbers.
+    """
+
+    low: wp.array
+    high: wp.array
+    lifelong: bool
+    values: wp.array
+    stream: int
 
 
 class Parameter:
@@ -178,53 +198,91 @@ class Parameter:
         """
         self.name, self.worlds, self.names = name, scene.worlds, tuple(names)
         self.neutral, self.bounds, self.usual = neutral, (low, high), usual
-        self.draws: list[tuple[Uniform, wp.array, int]] = []
+        self.draws: list[Drawn] = []
         self.curve = Curve()
-        ends = (value,) if not isinstance(value, Ramp) else (value.start, value.end)
-        if isinstance(value, Ramp):
-            check_choice(f"{name} ramp of", value.of, SPANS)
-            self.curve.onset = self._finite("onset", value.onset) / scene.control_dt
-            self.curve.duration = self._finite("duration", value.duration) / scene.control_dt
-            self.curve.lifelong = value.of == "life"
-        numbers = [self._before_draws(end) if isinstance(end, Uniform) else self._fixed(end) for end in ends]
-        shape = np.broadcast_shapes(*(array.shape for array in numbers))  # both ends of a ramp have one
+        ramp = value if isinstance(value, Ramp) else Ramp(value, value)
+        check_choice(f"{name} ramp of", ramp.of, SPANS)
+        self.curve.duration = float(self._times("duration", ramp.duration)[0, 0]) / scene.control_dt
+        self.curve.lifelong = ramp.of == "life"
+        ends = (ramp.start, ramp.end) if isinstance(value, Ramp) else (value,)
+        shape = np.broadcast_shapes(*(self._shape(end) for end in ends))  # both ends of a ramp have one
         if self.worlds.adjustable and not any(isinstance(end, Uniform) for end in ends):
             shape = (self.worlds.number, max(len(self.names), 1))
-        arrays = []
-        for number, (end, array) in enumerate(zip(ends, numbers, strict=True)):
-            if isinstance(end, Uniform):
-                values = scene.zeros(f"condition.{name.replace(' ', '.')}.{len(self.draws)}", shape[1])
-                self.draws.append((end, values, stream_of(f"{name} {number}")))
-            else:
-                values = wp.array(np.broadcast_to(array, shape).copy(), dtype=float)
-            arrays.append(values)
+        arrays = [self._array(end, shape, scene, number) for number, end in enumerate(ends)]
         self.curve.start, self.curve.end = arrays[0], arrays[-1]
+        self.curve.onset = self._onset(ramp.onset, scene)
         scene.parameters.append(self)
 
-    def _finite(self, what: str, number: float) -> float:
-        """Return a duration, checked."""
-        if not (isinstance(number, (int, float)) and number >= 0.0 and is_finite(number)):
-            raise ValueError(f"{self.name} {what} must be a finite time >= 0 s, got {number!r}")
-        return float(number)
+    def _shape(self, value: Fixed | Uniform) -> tuple[int, ...]:
+        """Return the shape of a value on the device: (1 or num_worlds, 1 or num_muscles)."""
+        if isinstance(value, Uniform):
+            return self.worlds.number, max(len(self.names), 1) if value.each else 1
+        return self._fixed(value).shape
+
+    def _array(self, value: Fixed | Uniform, shape: tuple[int, ...], scene: Scene, number: int) -> wp.array:
+        """Return a value on the device; what is drawn is zero until `sample` fills it in."""
+        if isinstance(value, Uniform):
+            return self._drawn(value, *self._bounds(value), shape[1], scene, number)
+        return wp.array(np.broadcast_to(self._fixed(value), shape).copy(), dtype=float)
+
+    def _onset(self, value: object, scene: Scene) -> wp.array:
+        """Return when the change begins [control steps], shape (1 or num_worlds, 1)."""
+        if not isinstance(value, Uniform):
+            return wp.array(self._own(self._times("onset", value)) / scene.control_dt, dtype=float)
+        low, high = (self._own(self._times("onset", bound)) for bound in (value.low, value.high))
+        self._check_order("onset ", low, high)
+        return self._drawn(value, low / scene.control_dt, high / scene.control_dt, 1, scene, 2)
+
+    def _drawn(
+        self, value: Uniform, low: np.ndarray, high: np.ndarray, columns: int, scene: Scene, number: int
+    ) -> wp.array:
+        """Return an array (num_worlds, columns) that `sample` fills in, between bounds."""
+        check_choice(f"{self.name} drawn per", value.per, SPANS)
+        low, high = np.broadcast_arrays(low, high)
+        limits = (wp.array(limit.copy(), dtype=float) for limit in (low, high))
+        values = scene.zeros(f"condition.{self.name.replace(' ', '.')}.{len(self.draws)}", columns)
+        self.draws.append(Drawn(*limits, value.per == "life", values, stream_of(f"{self.name} {number}")))
+        return values
+
+    def _times(self, what: str, value: object) -> np.ndarray:
+        """Return times [s] as (1 or num_worlds, 1), checked."""
+        times = self._numbers(value)
+        wrong = times[~((times >= 0.0) & is_finite(times))]
+        if wrong.size or times.shape[1] > 1:
+            got = repr(value) if times.size == 1 else f"{(*wrong, *times.flat)[0]:g} for one of its worlds"
+            raise ValueError(f"{self.name} {what} must be a finite time >= 0 s, got {got}")
+        return times
+
+    def _own(self, numbers: np.ndarray) -> np.ndarray:
+        """Return the rows of this scene's worlds, of numbers for the worlds of all ranks."""
+        return numbers if len(numbers) == 1 else numbers[self.worlds.given]
 
     def _fixed(self, value: Fixed) -> np.ndarray:
         """Return what is not drawn, shape (1 or num_worlds, 1 or num_muscles)."""
         numbers = self._by_name(value) if isinstance(value, Mapping) and self.names else self._numbers(value)
         self._check_range(numbers)
-        return numbers if len(numbers) == 1 else numbers[self.worlds.given]
+        return self._own(numbers)
 
-    def _before_draws(self, value: Uniform) -> np.ndarray:
-        """Return zeros, shape (num_worlds, 1 or num_muscles), where `sample` is to fill in what is drawn."""
-        check_choice(f"{self.name} drawn per", value.per, SPANS)
-        limits = self._numbers([value.low, value.high], worlds=2)
-        self._check_range(limits)
-        if value.low > value.high:
-            raise ValueError(f"{self.name} must be drawn with low <= high, got {value.low} and {value.high}")
-        return np.zeros((self.worlds.number, max(len(self.names), 1) if value.each else 1))
+    def _bounds(self, value: Uniform) -> tuple[np.ndarray, np.ndarray]:
+        """Return the bounds of what is drawn, each of shape (1 or num_worlds, 1), checked."""
+        low, high = (self._numbers(bound) for bound in (value.low, value.high))
+        for bound in (low, high):
+            self._check_range(bound)
+        if max(low.shape[1], high.shape[1]) > 1:
+            raise ValueError(f"{self.name} must be drawn between bounds that are one number a world")
+        self._check_order("", low, high)
+        return self._own(low), self._own(high)
 
-    def _numbers(self, value: object, worlds: int | None = None) -> np.ndarray:
+    def _check_order(self, what: str, low: np.ndarray, high: np.ndarray) -> None:
+        """Raise if a lower bound is above an upper one."""
+        low, high = np.broadcast_arrays(low, high)
+        if (wrong := low > high).any():
+            got = f"got {low[wrong][0]:g} and {high[wrong][0]:g}"
+            raise ValueError(f"{self.name} {what}must be drawn with low <= high, {got}")
+
+    def _numbers(self, value: object) -> np.ndarray:
         """Return numbers as (1 or num_worlds, 1 or num_muscles)."""
-        worlds = self.worlds.everywhere if worlds is None else worlds
+        worlds = self.worlds.everywhere
         try:
             numbers = np.asarray("none" if value is None else value, dtype=np.float64)  # NumPy makes it nan
         except (TypeError, ValueError, OverflowError):
@@ -286,11 +344,6 @@ class Parameter:
 
     def sample(self, keys: RandomKeys, mask: wp.array) -> None:
         """Draw in the worlds of `mask` (num_worlds,) bool."""
-        for uniform, values, stream in self.draws:
-            low, high, lifelong = float(uniform.low), float(uniform.high), uniform.per == "life"
-            wp.launch(
-                draw_uniform,
-                dim=self.worlds.number,
-                inputs=[low, high, lifelong, stream, keys, mask],
-                outputs=[values],
-            )
+        for draw in self.draws:
+            inputs = [draw.lifelong, draw.stream, draw.low, draw.high, keys, mask]
+            wp.launch(draw_uniform, dim=self.worlds.number, inputs=inputs, outputs=[draw.values])

@@ -19,6 +19,7 @@ from myowarp.definitions.muscle import MUSCLES
 from myowarp.definitions.muscle_table import MuscleTable
 from myowarp.definitions.option import checked, option
 from myowarp.definitions.registry import check_least
+from myowarp.definitions.senses import check_senses
 from myowarp.definitions.task import PHYSICS, RESETS, TASKS, TaskSpec
 
 MOST_SEED = 2**63 - 1  # world i has seed + i, a uint64
@@ -73,6 +74,13 @@ class Setup:
         "[NAME ...]",
         check=_check_conditions,
     )
+    observe: tuple[str, ...] | None = option(
+        None,
+        "What is observed besides the task's own: history=8, the last 8 observations and actions; parameters,"
+        " what the conditions make of the body.",
+        "[NAME ...]",
+        check=check_senses,
+    )
     stops: bool | None = option(
         None,
         "Of --model: joints go beyond their ranges, as coordinates do in OpenSim; by default ranges of"
@@ -105,11 +113,12 @@ class Setup:
     )
 
     def __post_init__(self) -> None:
-        """Take one condition for a tuple of one, and any others for a tuple."""
-        given: Any = self.conditions
-        if given is not None and not isinstance(given, tuple):
-            one = isinstance(given, (str, Condition)) or not isinstance(given, Iterable)
-            object.__setattr__(self, "conditions", (given,) if one else tuple(given))
+        """Take one condition or sense for a tuple of one, and any others for a tuple."""
+        for name in ("conditions", "observe"):
+            given: Any = getattr(self, name)
+            if given is not None and not isinstance(given, tuple):
+                one = isinstance(given, (str, Condition)) or not isinstance(given, Iterable)
+                object.__setattr__(self, name, (given,) if one else tuple(given))
 
     @classmethod
     def of(cls, what: Setup | TaskSpec | str | Path, **fields: Any) -> Setup:
@@ -196,7 +205,9 @@ class Setup:
         return cls(**said)
 
 
-DEFAULTS = Setup(physics="parity", muscle="mujoco", reset="task", conditions=(), rank=(0, 1), seed=0)
+DEFAULTS = Setup(
+    physics="parity", muscle="mujoco", reset="task", conditions=(), observe=(), rank=(0, 1), seed=0
+)
 
 OPTIONS = {entry.name: entry for entry in dataclasses.fields(Setup)}
 Setup.__doc__ = (

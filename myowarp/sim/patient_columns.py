@@ -2,6 +2,12 @@
 
 A new condition is one line of `COLUMNS`. A condition takes part if the table has one of its columns. Its
 other parameters keep their defaults, save for patients whose entries are all neutral: they do not have it.
+
+An entry is a number, or says how a patient changes:
+
+    0.3..0.7                  drawn anew in every episode
+    1 -> 0.3                  FROM -> TO, from the first control step on
+    1 -> 0.3..0.7 @ 1..2.5    FROM -> TO @ SECONDS of the episode, each a number or drawn
 """
 
 from __future__ import annotations
@@ -16,6 +22,7 @@ import numpy as np
 
 from myowarp.definitions.condition import CONDITIONS, Condition, resolve
 from myowarp.definitions.muscle import muscle_index
+from myowarp.definitions.parameter import Ramp, Uniform, Value
 from myowarp.definitions.registry import Registry
 from myowarp.definitions.task import TaskSpec
 from myowarp.disk import number_in
@@ -23,6 +30,24 @@ from myowarp.disk import number_in
 T = TypeVar("T")
 
 INF = math.inf
+
+
+Span = tuple[float, float]
+"""Bounds of what is drawn; twice a number that is not."""
+
+
+class Course(str):
+    """An entry that is drawn or changes, as it was written.
+
+    Attributes:
+        start: Before the change.
+        end: After the change.
+        onset: When it changes [s].
+    """
+
+    start: Span
+    end: Span
+    onset: Span
 
 
 @dataclass(frozen=True)
@@ -38,6 +63,8 @@ class CohortColumn:
         high: Greatest entry.
         otherwise: The parameter's value where the condition takes part without this column; None: as the
             condition has it.
+        changes: Whether it may change within an episode.
+        draws: Whether it may be drawn.
     """
 
     condition: str
@@ -47,14 +74,47 @@ class CohortColumn:
     low: float = 0.0
     high: float = INF
     otherwise: float | None = None
+    changes: bool = True
+    draws: bool = True
 
     def expected(self) -> str:
         """Return what an entry has to be."""
         span = f">= {self.low:g}" if self.high == INF else f"in {self.low:g}..{self.high:g}"
         return f"a number {span}" + (f" {self.unit}" if self.unit else "")
 
-    def parse(self, entry: Any, names: Sequence[str]) -> float:
-        """Return an entry as a number; `names` are those of the muscles.
+    def course_expected(self) -> str:
+        """Return what an entry that is drawn or changes has to be."""
+        forms = ["LOW..HIGH"] * self.draws + ["FROM -> TO @ SECONDS"] * self.changes
+        return f"{' or '.join(forms)}, of which each is {self.expected()}" if forms else self.expected()
+
+    def parse(self, entry: Any, names: Sequence[str]) -> float | Course:
+        """Return an entry as a number, or as what it says of changes; `names` are those of the muscles.
+
+        Raises:
+            ValueError: It is none, or out of range.
+        """
+        if not is_course(entry):
+            return self.number(entry)
+        before, arrow, after = str(entry).partition("->")
+        after, at, time = after.partition("@")
+        if (arrow and not self.changes) or (at and not time.strip()):
+            raise ValueError
+        course = Course(" ".join(str(entry).split()))
+        course.start = self._span(before)
+        course.end = self._span(after) if arrow else course.start
+        course.onset = _span(time, number_in) if at else (0.0, 0.0)
+        if not 0.0 <= course.onset[0] <= course.onset[1] < INF:
+            raise ValueError
+        return course
+
+    def _span(self, text: str) -> Span:
+        low, high = _span(text, self.number)
+        if low > high or (low < high and not self.draws):
+            raise ValueError
+        return low, high
+
+    def number(self, entry: Any) -> float:
+        """Return a number.
 
         Raises:
             ValueError: It is none, or out of range.
@@ -67,15 +127,28 @@ class CohortColumn:
         return number
 
 
+def is_course(entry: Any) -> bool:
+    """Whether an entry is one that is drawn or changes, right or wrong."""
+    return isinstance(entry, str) and any(mark in entry for mark in ("..", "->", "@"))
+
+
+def _span(text: str, number: Callable[[str], float]) -> Span:
+    """Return the bounds that a text names."""
+    low, between, high = text.partition("..")
+    return number(low), number(high if between else low)
+
+
 @dataclass(frozen=True)
 class Switch(CohortColumn):
     """A column of 0 and 1."""
+
+    draws: bool = False
 
     def expected(self) -> str:
         """Return what an entry has to be."""
         return "0 or 1"
 
-    def parse(self, entry: Any, names: Sequence[str]) -> float:
+    def number(self, entry: Any) -> float:
         """Return 0 or 1.
 
         Raises:
@@ -90,6 +163,9 @@ class Switch(CohortColumn):
 @dataclass(frozen=True)
 class TornMuscles(CohortColumn):
     """A column of muscle names, several joined by "+"; an empty entry is none."""
+
+    changes: bool = False
+    draws: bool = False
 
     def expected(self) -> str:
         """Return what an entry has to be."""
@@ -115,13 +191,17 @@ def _columns() -> Registry[CohortColumn]:
         "rest_recovery_factor": CohortColumn(
             "fatigue_3ccr", "rest_recovery_factor", "Recovery at rest, factor"
         ),
-        "initial_fatigue": CohortColumn("fatigue_3ccr", "initial", "Fatigue at the start", high=1.0),
+        "initial_fatigue": CohortColumn(
+            "fatigue_3ccr", "initial", "Fatigue at the start", high=1.0, changes=False
+        ),
         "force_loss_rate": CohortColumn("fatigue_ma2009", "rate", "Force loss rate", "1/min"),
-        "initial_force_loss": CohortColumn("fatigue_ma2009", "initial", "Force lost at the start", high=0.99),
+        "initial_force_loss": CohortColumn(
+            "fatigue_ma2009", "initial", "Force lost at the start", high=0.99, changes=False
+        ),
         "tendon_transfer": Switch("tendon_transfer", "affected", "Tendon transfer"),
         "reafferentation": Switch("reafferentation", "affected", "Reafferentation"),
         "tendon_tear": TornMuscles("tendon_tear", "muscles", "Torn tendon"),
-        "tear_time": CohortColumn("tendon_tear", "time", "Time of the tear", "s"),
+        "tear_time": CohortColumn("tendon_tear", "time", "Time of the tear", "s", changes=False),
         "exo_assistance": CohortColumn("exoskeleton", "assistance", "Exoskeleton, share of muscle torque"),
         "exo_mass": CohortColumn("exoskeleton", "forearm_mass", "Exoskeleton on the forearm", "kg"),
         "load_mass": CohortColumn("load", "mass", "Load in the hand", "kg"),
@@ -159,13 +239,13 @@ def conditions_of(entries: Entries, spec: TaskSpec, repeats: int = 1) -> tuple[C
         columns.setdefault(COLUMNS[name].condition, []).append(name)
     found = []
     for condition, names in columns.items():
-        values = {COLUMNS[name].parameter: entries[name] for name in names}
+        values = {
+            COLUMNS[name].parameter: [entry for entry in entries[name] for _ in range(repeats)]
+            for name in names
+        }
         parameters = _tear(values) if condition == "tendon_tear" else _completed(condition, values)
         if parameters:
-            arrays = {
-                k: np.repeat(v, repeats, axis=0) if k != "muscles" else v for k, v in parameters.items()
-            }
-            found.append(CONDITIONS[condition](**arrays))
+            found.append(CONDITIONS[condition](**parameters))
             _blaming(names, found[-1].check, spec)
     return _blaming(list(entries), resolve, found, spec)
 
@@ -185,15 +265,19 @@ def _tear(values: Entries) -> dict[str, Any]:
         raise ValueError("cohort column tear_time: it needs column tendon_tear, which says what tears")
     torn = sorted({muscle for muscles in values["muscles"] for muscle in muscles})
     whole = [[float(muscle not in muscles) for muscle in torn] for muscles in values["muscles"]]
-    times = {name: np.array(entries) for name, entries in values.items() if name != "muscles"}
+    times = {name: value_of(entries) for name, entries in values.items() if name != "muscles"}
     return {"muscles": torn, "transmission": np.array(whole)} | times if torn else {}
 
 
 def _completed(condition: str, values: Entries) -> dict[str, Any]:
     """Return the parameters of a condition: given ones, and what patients without it differ in."""
     kind = CONDITIONS[condition]
-    parameters: dict[str, Any] = {name: np.array(entries) for name, entries in values.items()}
-    given = [parameters[name] != neutral for name, neutral in kind.NEUTRAL.items() if name in parameters]
+    parameters: dict[str, Any] = {name: value_of(entries) for name, entries in values.items()}
+    given = [
+        [entry != neutral for entry in values[name]]  # a course never is neutral
+        for name, neutral in kind.NEUTRAL.items()
+        if name in values
+    ]
     if not given:
         return parameters
     usual: dict[str, Any] = {f.name: f.default for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
@@ -204,3 +288,23 @@ def _completed(condition: str, values: Entries) -> dict[str, Any]:
         if name not in parameters:
             parameters[name] = np.where(np.any(given, axis=0), usual[name], neutral)
     return parameters
+
+
+def value_of(entries: Sequence[float | Course]) -> Value:
+    """Return the parameter that the entries of all worlds stand for."""
+    if not any(isinstance(entry, Course) for entry in entries):
+        return np.array(entries, dtype=float)
+    constant = (0.0, 0.0)
+    spans = [
+        (e.start, e.end, e.onset) if isinstance(e, Course) else ((e, e), (e, e), constant) for e in entries
+    ]
+    start, end, onset = np.moveaxis(np.array(spans), 1, 0)
+    if np.array_equal(start, end):
+        return _between(start)
+    return Ramp(_between(start), _between(end), onset=_between(onset))
+
+
+def _between(spans: np.ndarray) -> np.ndarray | Uniform:
+    """Return what lies in spans, shape (num_worlds, 2); a number a world where none has a width."""
+    low, high = spans.T
+    return low.copy() if np.array_equal(low, high) else Uniform(low.copy(), high.copy())

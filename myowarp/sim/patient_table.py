@@ -15,7 +15,7 @@ from myowarp.definitions.muscle import muscle_names
 from myowarp.definitions.task import TaskSpec
 from myowarp.extras import to_install
 from myowarp.sim.build import oracle_model
-from myowarp.sim.patient_columns import COLUMNS, EXCLUSIVE, TornMuscles
+from myowarp.sim.patient_columns import COLUMNS, EXCLUSIVE, TornMuscles, is_course
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -205,4 +205,5 @@ def _entry(name: str, cell: Any, i: int, patients: Sequence[str], muscles: Seque
     except (ValueError, TypeError) as error:
         why = f" ({error})" if isinstance(column, TornMuscles) and str(error) else ""
         got = "nothing" if missing else repr(cell.item() if hasattr(cell, "item") else cell)
-        raise ValueError(f"{where}: needs {column.expected()}, got {got}{why}") from None
+        needs = column.course_expected() if is_course(cell) else column.expected()
+        raise ValueError(f"{where}: needs {needs}, got {got}{why}") from None

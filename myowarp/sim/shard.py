@@ -21,6 +21,8 @@ from myowarp.definitions.muscle import restore_anatomy
 from myowarp.definitions.parameter import Clock
 from myowarp.definitions.program import Program
 from myowarp.definitions.scene import Scene, Starts
+from myowarp.definitions.senses import Sense, bind_senses
+from myowarp.definitions.task import Column
 from myowarp.disk import is_ours
 from myowarp.engine.compile import compile_kernels, quiet, renew_code
 from myowarp.engine.graph import Graph, replay_nothing
@@ -62,7 +64,9 @@ class Shard:
     Attributes:
         scene: The compiled task.
         program: The task's kernels.
+        clock: Time of the worlds, which parameters follow.
         effects: The conditions' kernels, in the order in which they act.
+        senses: What is observed besides, in the order in which it was named.
         physics_step: The physics step.
         stages: Stages of it that kernels of ours do.
         weights: Weights of the reward terms, shape (num_terms,).
@@ -89,6 +93,7 @@ class Shard:
         *,
         autoreset: str = "disabled",
         horizon: int | None = None,
+        observe: Iterable[str] = (),
         graph: bool = True,
         stages: Iterable[str] = STAGES,
         progress: bool = True,
@@ -102,6 +107,7 @@ class Shard:
             conditions: Muscle conditions, as `resolve` returns them.
             autoreset: Gymnasium's mode, a key of `AUTORESET`.
             horizon: Control steps in an episode; None: the task's.
+            observe: Names of senses.
             graph: Whether to capture the step as a graph.
             stages: Names in `engine.stage.STAGES` to use where they apply.
             progress: Whether to show a progress bar while kernels compile.
@@ -115,9 +121,9 @@ class Shard:
         self.scene, self.conditions, self.autoreset = scene, conditions, AUTORESET[autoreset]
         with quiet(), wp.ScopedDevice(scene.device):
             self.program: Program = scene.spec.program(scene.spec, scene)
-            self.episode, self.effects = bind_conditions(scene, conditions)
+            self.episode, self.clock, self.effects = bind_conditions(scene, conditions)
             scene.model.callback.control = self._launch_control
-            self._allocate(scene.spec.horizon if horizon is None else horizon)
+            self._allocate(scene.spec.horizon if horizon is None else horizon, tuple(observe))
             if like is not None:
                 self._take_over(like)
             else:
@@ -169,11 +175,13 @@ class Shard:
         for stage in self.stages:  # the engine's own step has run, to verify them
             stage.begin()
 
-    def _allocate(self, horizon: int) -> None:
+    def _allocate(self, horizon: int, observe: tuple[str, ...]) -> None:
         """Allocate every array of the step."""
         n, scene, spec = self.num_worlds, self.scene, self.scene.spec
-        columns = spec.columns(scene.oracle.nq, scene.oracle.nv, len(scene.muscles.names))
-        columns += tuple(column for effect in self.effects for column in effect.columns)
+        columns = observed(scene, self.effects)
+        self.action = scene.worlds.rows("action", wp.zeros((n, scene.num_actions), dtype=float))
+        self.senses: tuple[Sense, ...] = bind_senses(observe, scene, self.clock, self.action, columns)
+        columns += tuple(sense.column for sense in self.senses)
         self.columns = tuple(column for column in columns if column.size)
         self.terms = spec.reward_terms() + tuple(term for effect in self.effects for term in effect.terms)
         self.weights = wp.array([term.weight for term in self.terms], dtype=float)
@@ -183,7 +191,6 @@ class Shard:
         for owner in ("transition", "final", "masks"):
             scene.adopt(owner, getattr(self, owner), state=False)
         self._draft = wp.zeros_like(self.transition.obs)  # observations, checked before anyone sees them
-        self.action = scene.worlds.rows("action", wp.zeros((n, scene.num_actions), dtype=float))
         self.shown = {name: array for effect in self.effects for name, array in effect.info.items()}
         self.info = {name: scene.worlds.rows(f"info.{name}", array) for name, array in self.shown.items()}
         self._asked, self._seeded = wp.zeros(n, dtype=bool), False
@@ -225,10 +232,13 @@ class Shard:
             effect.act_in_substep()
 
     def _launch_observation(self, mask: wp.array) -> None:
-        """Observe the worlds of a mask: the task, then the conditions that show something."""
+        """Observe the worlds of a mask: the task, the conditions that show something, the senses."""
         transition, draft = self.transition, self._draft
         self.program.observe(mask, draft)
         column = draft.shape[1]
+        for sense in reversed(self.senses):
+            column -= sense.column.size
+            sense.observe(mask, draft, column)
         for effect in reversed(self.effects):
             column -= sum(block.size for block in effect.columns)
             effect.observe(mask, draft, column)
@@ -283,6 +293,8 @@ class Shard:
         for effect in self.effects:
             effect.score(transition.terms, column)
             column += len(effect.terms)
+        for sense in self.senses:
+            sense.remember(self.masks.live, transition.obs)
         self._launch_observation(self.masks.live)
         wp.launch(
             advance_episode,
@@ -322,6 +334,8 @@ class Shard:
         for effect in self.effects:
             effect.sample(renew)
             effect.reset(reset)
+        for sense in self.senses:
+            sense.forget(renew)
         self.program.sample_start(reset)
         if self.starts is not None:
             wp.launch(
@@ -444,8 +458,10 @@ class Shard:
             launches()
 
 
-def bind_conditions(scene: Scene, conditions: Iterable[Condition]) -> tuple[EpisodeState, tuple[Effect, ...]]:
-    """Return the counters of the episodes, and the effects of the conditions, on the current Warp device.
+def bind_conditions(
+    scene: Scene, conditions: Iterable[Condition]
+) -> tuple[EpisodeState, Clock, tuple[Effect, ...]]:
+    """Return the counters of the episodes, their time, and the conditions' effects, on the Warp device.
 
     Raises:
         ValueError: A condition does not fit the scene, or another condition.
@@ -458,4 +474,11 @@ def bind_conditions(scene: Scene, conditions: Iterable[Condition]) -> tuple[Epis
     effects = tuple(condition.bind(scene, clock) for condition in conditions)
     for effect in effects:
         effect.check_beside(effects)
-    return episode, effects
+    return episode, clock, effects
+
+
+def observed(scene: Scene, effects: Iterable[Effect]) -> tuple[Column, ...]:
+    """Return what the task and its conditions observe."""
+    model = scene.oracle
+    columns = scene.spec.columns(model.nq, model.nv, len(scene.muscles.names))
+    return columns + tuple(column for effect in effects for column in effect.columns)

@@ -140,6 +140,7 @@ class Simulation:
                         self.conditions,
                         autoreset=autoreset,
                         horizon=self.horizon,
+                        observe=setup.observe or (),
                         graph=graph,
                         stages=stages,
                         progress=progress,

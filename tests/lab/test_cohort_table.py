@@ -70,6 +70,48 @@ def test_ranges_are_the_conditions_own(name):
         column.parse(column.low - 0.1, ())
 
 
+def test_entries_that_are_drawn_or_change():
+    """Each world has its patient's own: numbers, ranges and changes beside each other."""
+    table = pd.DataFrame({"strength": [0.5, "0.2..0.4", "1 -> 0.3 @ 0.2", "1 -> 0.1..0.2 @ 0.1..0.3"]})
+    entries = read_population(table, ELBOW_MUSCLES).entries
+    sim = Simulation(
+        TASKS[ELBOW], 8, device="cpu", conditions=conditions_of(entries, TASKS[ELBOW], 2), progress=False
+    )
+    sim.reset(seeds=np.arange(8))
+    seen = []
+    for _ in range(20):
+        sim.step()
+        seen.append(sim.scene.muscles.anatomy.strength.numpy()[:, 0].copy())
+    seen, change = np.array(seen), round(0.2 / sim.scene.control_dt)
+    assert (seen[:, :2] == 0.5).all()
+    assert (seen[:, 2:4] == seen[0, 2:4]).all()
+    assert ((seen[0, 2:4] >= 0.2) & (seen[0, 2:4] <= 0.4)).all()
+    assert seen[0, 2] != seen[0, 3]
+    np.testing.assert_allclose(seen[:change, 4:6], 1.0)
+    np.testing.assert_allclose(seen[change:, 4:6], 0.3)
+    assert (seen[0, 6:] == 1.0).all()
+    assert ((seen[-1, 6:] >= 0.1) & (seen[-1, 6:] <= 0.2)).all()
+
+
+@pytest.mark.parametrize(
+    ("column", "entry"),
+    [
+        ("strength", "0.7..0.3"),
+        ("strength", "1 -> x"),
+        ("strength", "1 -> 0.3 @"),
+        ("strength", "1 -> 0.3 @ -1"),
+        ("strength", "1 -> -0.3"),
+        ("initial_fatigue", "0 -> 1 @ 1"),  # acts where an episode begins
+        ("tear_time", "0 -> 1 @ 1"),
+        ("tendon_transfer", "0..1"),
+        ("tendon_transfer", "0 -> 0.5 @ 1"),
+    ],
+)
+def test_wrong_courses(column, entry):
+    with pytest.raises(ValueError, match=f"column '{column}': needs .*, of which each is .*, got '{entry}'"):
+        read_population(pd.DataFrame({column: [entry], "tendon_tear": ["BRA"]}), ELBOW_MUSCLES)
+
+
 @pytest.mark.parametrize(
     "text",
     [

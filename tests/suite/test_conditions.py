@@ -315,6 +315,41 @@ class TestParameter:
             assert (self.values(ramp, dt=dt, steps=step) == 1).all()
             assert (self.values(ramp, dt=dt, steps=step - 1) == 0).all()
 
+    def test_onset_of_each_world(self):
+        ramp = Ramp(0.0, 1.0, onset=[0.1, 0.2, 0.45])
+        for steps in range(7):
+            expected = 0.1 * steps + 1e-6 >= np.array([0.1, 0.2, 0.45])
+            np.testing.assert_array_equal(self.values(ramp, steps=steps)[:, 0], expected)
+
+    def test_drawn_change(self):
+        """Every episode draws anew what a world becomes and when; bounds are each world's own."""
+        late = np.where(np.arange(64) < 32, 0.1, 0.3)
+        ramp = Ramp(1.0, Uniform(np.linspace(0.1, 0.5, 64), 0.6), onset=Uniform(0.1, late))
+        sim = Simulation(
+            TASKS[HOSTS[0]], 64, device="cpu", conditions=Sarcopenia(ramp), graph=False, progress=False
+        )
+        sim.reset(seeds=np.arange(64))
+        episodes = []
+        for _ in range(2):
+            changed, last = np.full(64, -1), np.ones(64)
+            for step in range(20):
+                sim.step()
+                now = sim.scene.muscles.anatomy.strength.numpy()[:, 0]
+                changed[(now != last) & (changed < 0)] = step
+                assert ((now == last) | (changed == step)).all()
+                last = now.copy()
+            dt = sim.scene.control_dt
+            assert (changed >= np.floor(0.1 / dt)).all()
+            assert (changed <= np.ceil(late / dt - 1e-6)).all()
+            assert np.ptp(changed[:32]) == 0
+            assert np.ptp(changed[32:]) > 3
+            assert (last >= np.linspace(0.1, 0.5, 64) - 1e-6).all()
+            assert (last <= 0.6).all()
+            episodes.append((changed, last))
+            sim.reset()
+        assert (episodes[0][0] != episodes[1][0]).any()
+        assert (episodes[0][1] != episodes[1][1]).all()
+
     def test_ends_are_exact(self):
         """Start before, end after, to the last bit; 0.3 + (1 - 0.3) is no 1 in float32."""
         ends = [(0.3, 1.0), (0.1, 0.7), (5.0, 1e-3)]
@@ -371,6 +406,9 @@ class TestParameter:
             (Uniform(0, 1, per="day"), r"^thing drawn per 'day' unknown; available: episode, life$"),
             (Ramp(0, 1, onset=-1), r"^thing onset must be a finite time >= 0 s, got -1$"),
             (Ramp(0, 1, onset=1e300), r"^thing onset must be a finite time >= 0 s, got 1e\+300$"),
+            (Ramp(0, 1, onset=[0, 1, -2]), r"^thing onset must be .* >= 0 s, got -2 for one of its worlds$"),
+            (Ramp(0, 1, onset=Uniform(2, 1)), r"^thing onset must be drawn with low <= high, got 2 and 1$"),
+            (Uniform([0, 2, 0], 1), r"^thing must be drawn with low <= high, got 2 and 1$"),
             (Ramp(0, 1, of="day"), r"^thing ramp of 'day' unknown; available: episode, life$"),
             (Ramp(0, -3), r"^thing must be >= 0, got -3$"),
         ],

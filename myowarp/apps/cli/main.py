@@ -18,6 +18,7 @@ import tyro
 import warp as wp
 from rich.console import Console
 
+from myowarp.apps.cli.adapt import Adapt
 from myowarp.apps.cli.audit import Audit
 from myowarp.apps.cli.baselines import Baselines
 from myowarp.apps.cli.cohort import Cohort
@@ -53,6 +54,7 @@ COMMANDS: dict[str, type[Callable[[], None]]] = {
     "view": View,
     "plot": Plot,
     "cohort": Cohort,
+    "adapt": Adapt,
     "audit": Audit,
     "train": Train,
     "improve": Improve,

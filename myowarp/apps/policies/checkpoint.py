@@ -31,6 +31,8 @@ from safetensors.numpy import load, save
 
 from myowarp.apps.policies.form import check_manifest, check_policy
 from myowarp.definitions.muscle import muscle_names
+from myowarp.definitions.option import flag
+from myowarp.definitions.senses import PARAMETERS, SENSES, Told
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TaskSpec
 from myowarp.kernels.action import CENTER, STEEPNESS
@@ -153,13 +155,28 @@ def check_contract(checkpoint: Checkpoint, sim: Simulation, *, learning: bool = 
     """
     present = json.loads(json.dumps(task_contract(sim)))
     recorded = checkpoint.manifest["contract"]
+    if not learning:
+        present["columns"] = _visible(recorded["columns"], sim)
     for key in present if learning else ACTING:
         if recorded.get(key) != present[key]:
             why = _difference(key, recorded.get(key), present[key])
+            senses = trained_setup(checkpoint.manifest).observe or ()
+            if key == "columns" and senses != (sim.setup.observe or ()):
+                why += f"; it was trained with {flag('observe')} {' '.join(senses)}".rstrip()
             raise _refusal(checkpoint, "learn" if learning else "act", present["task"], why)
     trained, runs = checkpoint.manifest["settings"].get("muscle") or "mujoco", sim.setup.muscles.model
     if trained != runs:
         warn_once(f"policy {str(checkpoint.folder)!r} was trained with {trained} muscles and acts on {runs}")
+
+
+def _visible(recorded: list[Any], sim: Simulation) -> list[Any]:
+    """Return the columns that a policy can have here: those of the task, and of the senses its own."""
+    here = {column.name: [column.name, column.size, column.unit] for column in sim.columns}
+    senses = {name: here.pop(name) for name in SENSES if name in here}
+    if PARAMETERS not in senses and sim.shards[0].scene.parameters:  # which whoever needs them is told
+        told = Told(sim.shards[0].scene, sim.shards[0].clock).column
+        senses[PARAMETERS] = [told.name, told.size, told.unit]
+    return [*here.values(), *(senses[name] for name, *_ in recorded if name in senses)]
 
 
 def _difference(key: str, recorded: Any, present: Any) -> str:

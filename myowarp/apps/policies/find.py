@@ -4,7 +4,6 @@ A policy is a function of the observations, shape (num_worlds, obs_size), that r
 shape (num_worlds, num_actions).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +12,7 @@ import numpy as np
 from myowarp.apps.policies.baselines import policy_folder
 from myowarp.apps.policies.checkpoint import Checkpoint
 from myowarp.apps.policies.hold import Hold, check_hold
-from myowarp.apps.policies.learned import bind, read_policy
+from myowarp.apps.policies.learned import Act, bind, read_policy
 from myowarp.apps.policies.muscle_control import MuscleControl, check_muscle_control
 from myowarp.apps.policies.replay import Replay, is_replay
 from myowarp.definitions.task import TaskSpec
@@ -21,9 +20,6 @@ from myowarp.models.bodies.from_file import OPENSIM
 from myowarp.motion.storage import Storage, read_storage
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.outside import load
-
-Act = Callable[[np.ndarray], np.ndarray]
-"""Observations (num_worlds, obs_size) to actions (num_worlds, num_actions) in [-1, 1]."""
 
 BUILT_IN = ("random", "zero", "hold", "muscle-control")
 CHECKS = {"hold": check_hold, "muscle-control": check_muscle_control}

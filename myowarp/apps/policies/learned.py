@@ -22,6 +22,7 @@ from myowarp.apps.policies.checkpoint import (
     check_task,
     load_checkpoint,
 )
+from myowarp.definitions.senses import PARAMETERS, SENSES, Told
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TaskSpec
 from myowarp.sim.simulation import Simulation
@@ -31,6 +32,10 @@ ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "tanh": np.tanh,
     "relu": lambda x: np.maximum(x, 0.0),
 }
+
+
+Act = Callable[[np.ndarray], np.ndarray]
+"""Observations (num_worlds, obs_size) to actions (num_worlds, num_actions) in [-1, 1]."""
 
 
 class LearnedPolicy:
@@ -122,11 +127,26 @@ def read_policy(name: str, folder: Path, spec: TaskSpec) -> Checkpoint:
     return checkpoint
 
 
-def bind(checkpoint: Checkpoint, sim: Simulation) -> LearnedPolicy:
-    """Return the deterministic policy of a checkpoint for a simulation.
+def bind(checkpoint: Checkpoint, sim: Simulation, sampled: Setup | None = None) -> Act:
+    """Return the policy of a checkpoint for a simulation; `sampled` as in `LearnedPolicy`.
+
+    Of the senses it sees its own, whatever else the worlds observe; parameters it is told in any case.
 
     Raises:
         CheckpointError: Observations or actuators are other ones.
     """
     check_contract(checkpoint, sim)
-    return LearnedPolicy(checkpoint)
+    policy, own = LearnedPolicy(checkpoint, sampled), checkpoint.manifest["contract"]["columns"]
+    wanted = [name for name, *_ in own if name in SENSES]
+    if wanted == [column.name for column in sim.columns if column.name in SENSES]:
+        return policy
+    ends = np.cumsum([column.size for column in sim.columns])
+    blocks = {c.name: slice(end - c.size, end) for c, end in zip(sim.columns, ends, strict=True)}
+    first = sum(column.size for column in sim.columns if column.name not in SENSES)
+    untold = PARAMETERS in wanted and PARAMETERS not in blocks
+    told = [Told(shard.scene, shard.clock) for shard in sim.shards if untold]
+
+    def seen(obs: np.ndarray, sense: str) -> np.ndarray:
+        return obs[:, blocks[sense]] if sense in blocks else np.concatenate([shard.now() for shard in told])
+
+    return lambda obs: policy(np.concatenate([obs[:, :first], *(seen(obs, s) for s in wanted)], axis=1))

@@ -22,14 +22,15 @@ from myowarp.definitions.condition import Condition, Effect, attributes_of, reso
 from myowarp.definitions.entries import entries, of_joints
 from myowarp.definitions.muscle import MuscleModel
 from myowarp.definitions.scene import Scene
+from myowarp.definitions.senses import bind_senses
 from myowarp.definitions.setup import Setup
-from myowarp.definitions.task import PHYSICS, RESETS, TASKS, Draw, TaskSpec
+from myowarp.definitions.task import PHYSICS, RESETS, TASKS, Column, Draw, TaskSpec
 from myowarp.engine.compile import quiet
 from myowarp.kernels.action import EXCITATION, LINEAR_EXCITATION, MUSCLE, excitation
 from myowarp.kernels.episode import FAULTS, SUCCESS_RULE
 from myowarp.osim.bundle.couplings import couplings
 from myowarp.sim.build import actuator_kinds, compile_scene, num_substeps_of, resolve_device
-from myowarp.sim.shard import bind_conditions
+from myowarp.sim.shard import bind_conditions, observed
 
 LIMITS = "actions are clipped to -1..1"
 DRAWN_IN = {
@@ -64,7 +65,10 @@ def describe(what: Setup | TaskSpec, env_id: str | None = None, **fields: Any) -
     with quiet(), wp.ScopedDevice(resolve_device("cpu")):
         scene = compile_scene(setup, 1, device="cpu", conditions=found)
         spec.program(spec, scene)
-        _, effects = bind_conditions(scene, found)
+        _, clock, effects = bind_conditions(scene, found)
+        columns = observed(scene, effects)
+        action = wp.zeros((1, scene.num_actions), dtype=float)
+        senses = bind_senses(setup.observe or (), scene, clock, action, columns)
     return {
         "id": env_id or spec.env_id,
         "task": spec.env_id,
@@ -74,7 +78,7 @@ def describe(what: Setup | TaskSpec, env_id: str | None = None, **fields: Any) -
         "why": spec.why,
         "versions": _versions(spec),
         "episode": _episode(setup),
-        "observation": _observation(scene, effects),
+        "observation": _observation(scene, (*columns, *(sense.column for sense in senses))),
         "action": _action(scene),
         "reward": _reward(spec, effects),
         "success": {"solved": spec.solved_when, "success": SUCCESS_RULE},
@@ -111,11 +115,8 @@ def _episode(setup: Setup) -> dict[str, Any]:
     }
 
 
-def _observation(scene: Scene, effects: Sequence[Effect]) -> dict[str, Any]:
+def _observation(scene: Scene, columns: Sequence[Column]) -> dict[str, Any]:
     """Return the blocks of the observation, and each number of them."""
-    model = scene.oracle
-    columns = scene.spec.columns(model.nq, model.nv, len(scene.muscles.names))
-    columns += tuple(column for effect in effects for column in effect.columns)
     blocks, first = [], 0
     for column in columns:
         if column.size:
@@ -126,7 +127,7 @@ def _observation(scene: Scene, effects: Sequence[Effect]) -> dict[str, Any]:
                     "last": first + column.size - 1,
                     "unit": column.unit,
                     "doc": column.doc,
-                    "entries": [entry._asdict() for entry in column.entries(model)],
+                    "entries": [entry._asdict() for entry in column.entries(scene.oracle)],
                 }
             )
         first += column.size

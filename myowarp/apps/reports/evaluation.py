@@ -19,14 +19,13 @@ from myowarp.apps.policies.baselines import policy_folder
 from myowarp.apps.policies.checkpoint import (
     Checkpoint,
     CheckpointError,
-    check_contract,
     check_task,
     eval_command,
     is_file,
     load_checkpoint,
     trained_setup,
 )
-from myowarp.apps.policies.learned import LearnedPolicy
+from myowarp.apps.policies.learned import bind
 from myowarp.apps.reports.intervals import wilson
 from myowarp.apps.rollouts.episodes import Episodes, are_one
 from myowarp.apps.rollouts.ranks import ALONE, Ranks
@@ -283,10 +282,9 @@ def evaluate_policy(job: EvaluationJob) -> tuple[dict[str, Any], dict[str, dict[
     setup = replace(job.setup, device=device, rank=ranks.part)
     with ranks.together(device):
         sim = Simulation(setup, number, autoreset="same_step")
-        check_contract(checkpoint, sim)
         signals = Signals(sim) if sim.scene.muscles.names else None
         for mode in job.modes:
-            act = LearnedPolicy(checkpoint, setup if mode == "sampled" else None)
+            act = bind(checkpoint, sim, setup if mode == "sampled" else None)
             figures = evaluate(sim, act, signals=signals, title=mode, console=console, ranks=ranks)
             results[mode] = dataclasses.asdict(figures)
         sim.close()

@@ -71,7 +71,8 @@ def _affected_time(parameter: Parameter) -> np.ndarray:
     start, end = _ends(parameter)
     turns = (start >= 0.5) != (end >= 0.5)
     share = np.divide(0.5 - start, end - start, out=np.zeros(len(start)), where=turns)
-    moment = float(parameter.curve.onset) + float(parameter.curve.duration) * share
+    onset = parameter.curve.onset.numpy()[:, 0].astype(np.float64)
+    moment = onset + float(parameter.curve.duration) * share
     begin = np.where(start >= 0.5, 0.0, np.where(turns, moment, np.inf))
     return np.stack([begin, np.where(turns & (start >= 0.5), moment, np.inf)])
 

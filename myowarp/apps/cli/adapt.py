@@ -1,0 +1,83 @@
+"""The command `myowarp adapt`: policies in patients who change in mid-episode."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.table import Table
+
+from myowarp.apps.cli.options import Environment, Overwrite
+from myowarp.definitions.registry import check_least
+
+if TYPE_CHECKING:
+    from myowarp.apps.studies import adaptation
+
+
+@dataclass
+class Adapt:
+    """Compare what policies do once a patient has changed in mid-episode, each in the same episodes.
+
+    Conditions say what changes and when. Success before the change, its drop, the time to recover half of it,
+    and the share of solved steps after it, with 95 % intervals; the first policy is the one to beat. Writes
+    adaptation.json, curves.csv and adaptation.png.
+
+    Example: myowarp adapt myoElbowPose1D6MRandom-v0 --policies baseline runs/adapted --conditions
+    'sarcopenia(strength=Ramp(1.0, Uniform(0, 1, each=True), onset=Uniform(0.2, 1)))'
+    """
+
+    asked: Environment
+    policies: tuple[str, ...] = ("baseline",)
+    """Policies, each as in `rollout --policy`."""
+    episodes: int = 1024
+    """Episodes of each policy, and worlds simulated together."""
+    output: Path = Path("out/adapt")
+    """Folder of the results."""
+    overwrite: Overwrite = False
+    json: bool = False
+    """Print JSON instead of a table."""
+
+    def __call__(self) -> None:
+        """Check, run and print."""
+        from myowarp.apps.studies import adaptation
+        from myowarp.disk import check_folder, check_overwrite
+        from myowarp.sim.build import MOST_WORLDS
+        from myowarp.tasks.setups import complete
+
+        check_least(2, MOST_WORLDS, episodes=self.episodes)
+        check_least(1, policies=len(self.policies))
+        check_folder(self.output)
+        check_overwrite((self.output / adaptation.RESULT,), self.overwrite)
+        console = Console(stderr=True)
+        result = adaptation.study(complete(self.asked.setup), self.policies, self.episodes, console)
+        files = adaptation.save(result, self.output)
+        if self.json:
+            print(json.dumps([asdict(policy) for policy in result.policies], indent=1))
+        else:
+            _print_table(result)
+        console.print(f"Saved {', '.join(map(str, files))}")
+
+
+def _print_table(result: adaptation.Adaptation) -> None:
+    """Print a row for each policy."""
+    console = Console(highlight=False)
+    console.print(
+        f"{result.setup.spec.env_id}: {result.policies[0].episodes} episodes with a change, "
+        f"{result.setup.physics} physics"
+    )
+    table = Table("policy", "before [%]", "drop [%]", "half back [s]", "solved after [%]", "gain [%]")
+    for row in result.policies:
+        gain = "" if row.gain is None else _percent(row.gain, row.gain_interval)
+        back = "-" if row.recovery is None else f"{row.recovery:.2f}"
+        after = _percent(row.after, row.after_interval)
+        table.add_row(row.policy, f"{100 * row.before:.1f}", f"{100 * row.drop:.1f}", back, after, gain)
+    console.print(table)
+
+
+def _percent(value: float, interval: tuple[float, float] | None) -> str:
+    """Return a share with its interval."""
+    low, high = interval or (float("nan"),) * 2
+    return f"{100 * value:.1f} ({100 * low:.1f} to {100 * high:.1f})"

@@ -1,0 +1,248 @@
+"""Adaptation: what policies do once a patient has changed in mid-episode.
+
+All policies act in the same episodes: the same seeds draw the same targets, patients and moments of change,
+so that what one policy does in an episode stands beside what another does in it. With s(k) the share of the
+episodes that are solved k control steps after the change,
+
+    before    = mean of s over the last second before the change
+    drop      = before - least of s after it
+    recovery  = time from the least to where s has come back by half of the drop
+    after     = share of the steps from the change to the end that are solved, a mean over episodes
+
+`after` has Student's interval over episodes, and so has its difference from the first policy's, in pairs.
+s(k) counts the episodes that last so long; it ends where fewer than half of them do.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import cycle
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.console import Console
+
+from myowarp.apps.policies.checkpoint import trained_setup
+from myowarp.apps.policies.find import Policy, acting, find_policy
+from myowarp.apps.reports import panel
+from myowarp.apps.reports.intervals import mean_interval
+from myowarp.apps.rollouts.run import Step, Watcher, progress, run
+from myowarp.definitions.senses import PARAMETERS
+from myowarp.definitions.setup import Setup
+from myowarp.disk import in_place, make_folder, plain, write_rows
+from myowarp.sim.simulation import Simulation
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+RESULT = "adaptation.json"
+BEFORE = 1.0  # s before the change over which success is taken
+WIDTH, HEIGHT = 6.4, 3.6  # inches
+LEAST_SHARE = 0.5  # of the episodes that must last for s(k) to be counted
+
+
+@dataclass(frozen=True)
+class Adapted:
+    """The figures of a policy.
+
+    Attributes:
+        policy: Its name.
+        episodes: Episodes in which the patient changed while they lasted.
+        before: Share solved before the change.
+        drop: By how much it fell.
+        recovery: Time to half of the drop [s]; None: it did not come back that far, or nothing fell.
+        after: Share of the steps from the change on that are solved.
+        after_interval: Its 95 % interval.
+        gain: Difference of `after` from the first policy's; None for the first.
+        gain_interval: Its 95 % interval.
+    """
+
+    policy: str
+    episodes: int
+    before: float
+    drop: float
+    recovery: float | None
+    after: float
+    after_interval: tuple[float, float]
+    gain: float | None = None
+    gain_interval: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Adaptation:
+    """A study.
+
+    Attributes:
+        setup: The environment, but for what each policy observes.
+        seconds: Time after the change [s], shape (num_steps,); negative before it.
+        curves: s of every policy, shape (num_policies, num_steps).
+        policies: Figures of every policy.
+    """
+
+    setup: Setup
+    seconds: np.ndarray
+    curves: np.ndarray
+    policies: tuple[Adapted, ...]
+
+
+class Trail(Watcher):
+    """Remembers when worlds changed and when they were solved, in the first episode of each.
+
+    Attributes:
+        changed: Control step that the change came with, from 0 on; -1: none came, shape (num_worlds,).
+        length: Control steps of the episode, shape (num_worlds,).
+    """
+
+    def __init__(self, sim: Simulation) -> None:
+        self.changed, self.length = np.full(sim.num_worlds, -1), np.zeros(sim.num_worlds, dtype=int)
+        self._solved: list[np.ndarray] = []
+        self._running = np.ones(sim.num_worlds, dtype=bool)
+        size, ends = {c.name: c.size for c in sim.columns}, np.cumsum([c.size for c in sim.columns])
+        end = int(ends[[c.name for c in sim.columns].index(PARAMETERS)])
+        self._told, self._first = slice(end - size[PARAMETERS], end), np.empty(0)
+
+    def see(self, step: Step) -> None:
+        """Take a step down."""
+        told = step.obs[:, self._told]
+        if step.number == 1:
+            self._first = told.copy()
+        new = self._running & (self.changed < 0) & (told != self._first).any(axis=1)
+        self.changed[new] = step.number - 1
+        self._solved.append(step.solved & self._running)
+        self.length += self._running
+        self._running &= ~step.ended
+
+    @property
+    def solved(self) -> np.ndarray:
+        """Whether each step was solved, shape (num_steps, num_worlds); false after the end."""
+        return np.array(self._solved)
+
+    def all_ended(self) -> bool:
+        """Whether every world has had its episode."""
+        return not self._running.any()
+
+
+def study(
+    setup: Setup, names: Sequence[str], episodes: int = 1024, console: Console | None = None
+) -> Adaptation:
+    """Let policies act in patients who change.
+
+    Args:
+        setup: A complete setup whose conditions change within an episode.
+        names: Policies, as for `find_policy`; the first is what the others are compared with.
+        episodes: Episodes of each, and worlds simulated together.
+        console: Where progress is drawn.
+
+    Raises:
+        ValueError: There is no such policy, no condition, or no patient changes in an episode.
+    """
+    if repeated := [name for name in names if list(names).count(name) > 1]:
+        raise ValueError(f"adapt compares different policies, got {repeated[0]!r} twice")
+    policies = [find_policy(name, setup.spec) for name in names]
+    trails = [_follow(setup, policy, episodes, console) for policy in policies]
+    for trail in trails:
+        # A fault ends an episode of one policy alone; what counts is when all of them could see the change.
+        trail.changed[trail.changed >= trail.length] = -1
+    counted = np.all([trail.changed > 0 for trail in trails], axis=0)
+    if not counted.any():
+        raise ValueError(
+            f"adapt needs conditions that change while an episode of {setup.spec.key!r} lasts, such as "
+            f"'sarcopenia(strength=Ramp(1.0, 0.5, onset=0.5))'; of {episodes} episodes none had a change"
+        )
+    dt, shares = setup.spec.control_dt, [_share_after(trail, counted) for trail in trails]
+    span = max(1, round(BEFORE / dt))
+    steps = np.arange(-span, setup.episode_steps)
+    curves = [_curve(trail, counted, steps) for trail in trails]
+    found = []
+    for policy, share, curve in zip(policies, shares, curves, strict=True):
+        first = share is shares[0]
+        paired = share - shares[0]
+        found.append(
+            Adapted(
+                policy.name,
+                int(counted.sum()),
+                *_fall(curve, span, dt),
+                after=float(share.mean()),
+                after_interval=mean_interval(share, 0.0, 1.0),
+                gain=None if first else float(paired.mean()),
+                gain_interval=None if first else mean_interval(paired, -1.0, 1.0),
+            )
+        )
+    return Adaptation(setup, steps * dt, np.array(curves), tuple(found))
+
+
+def _follow(setup: Setup, policy: Policy, episodes: int, console: Console | None) -> Trail:
+    """Return what one policy did in all worlds."""
+    own = trained_setup(policy.checkpoint.manifest).observe or () if policy.checkpoint else ()
+    observe = (PARAMETERS, *(sense for sense in own if sense != PARAMETERS))
+    sim = Simulation(dataclasses.replace(setup, observe=observe), episodes, autoreset="same_step")
+    trail = Trail(sim)
+    with progress(policy.name, "steps", sim.horizon, console) as bar:
+        run(sim, acting(policy, sim), sim.horizon, trail, bar, until=trail.all_ended)
+    sim.close()
+    return trail
+
+
+def _share_after(trail: Trail, counted: np.ndarray) -> np.ndarray:
+    """Return the share of solved steps after the change, of each counted episode."""
+    solved, changed, length = trail.solved[:, counted], trail.changed[counted], trail.length[counted]
+    after = np.arange(len(solved))[:, None] >= changed
+    return (solved & after).sum(axis=0) / (length - changed)
+
+
+def _curve(trail: Trail, counted: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Return s(k) for all k of `steps`; NaN where too few episodes last."""
+    solved, changed, length = trail.solved[:, counted], trail.changed[counted], trail.length[counted]
+    at = steps[:, None] + changed
+    lasts = (at >= 0) & (at < length)
+    seen = lasts & solved[np.clip(at, 0, len(solved) - 1), np.arange(len(changed))]
+    number = lasts.sum(axis=1)
+    return np.where(number >= LEAST_SHARE * len(changed), seen.sum(axis=1) / np.maximum(number, 1), np.nan)
+
+
+def _fall(curve: np.ndarray, change: int, dt: float) -> tuple[float, float, float | None]:
+    """Return success before the change, the drop and the time to half of it; the change is at an index."""
+    before = float(np.nanmean(curve[:change])) if np.isfinite(curve[:change]).any() else math.nan
+    after = curve[change:][np.isfinite(curve[change:])]
+    least = int(np.argmin(after))
+    drop = before - float(after[least])
+    back = np.flatnonzero(after[least:] >= after[least] + 0.5 * drop)
+    return before, drop, float(back[0] * dt) if drop > 0.0 and back.size else None
+
+
+def save(result: Adaptation, folder: Path) -> tuple[Path, ...]:
+    """Write adaptation.json, curves.csv and, where matplotlib is installed, adaptation.png; returns them."""
+    make_folder(folder)
+    files = [folder / RESULT, folder / "curves.csv"]
+    found = {"task": result.setup.spec.env_id, "policies": list(map(dataclasses.asdict, result.policies))}
+    with in_place(files[0]) as scratch:
+        scratch.write_text(json.dumps(plain(result.setup.plain() | found), indent=1) + "\n")
+    head = ["seconds_after_change", *(policy.policy for policy in result.policies)]
+    rows = zip(result.seconds, *result.curves, strict=True)
+    write_rows(files[1], [head, *(["" if math.isnan(x) else f"{x:.6g}" for x in row] for row in rows)])
+    if importlib.util.find_spec("matplotlib"):
+        files.append(folder / "adaptation.png")
+        with panel.style():
+            panel.save(_figure(result), files[2])
+    return tuple(files)
+
+
+def _figure(result: Adaptation) -> Figure:
+    """Return s(k) of all policies over time."""
+    figure = panel.blank(WIDTH, HEIGHT)
+    axes = figure.subplots()
+    for policy, curve, color in zip(result.policies, result.curves, cycle(panel.COLORS), strict=False):
+        axes.plot(result.seconds, 100.0 * curve, color=color, label=policy.policy)
+    axes.axvline(0.0, color=panel.INK, linewidth=0.8, linestyle=":")
+    axes.set_xlim(result.seconds[0], result.seconds[np.isfinite(result.curves).any(axis=0)][-1])
+    axes.set_xlabel("Time after the change [s]")
+    axes.set_ylabel("Episodes that are solved [%]")
+    axes.set_title(f"{result.setup.spec.key}, {result.policies[0].episodes} episodes")
+    axes.legend(loc="lower right")
+    return figure
