@@ -239,9 +239,9 @@ class Parameter:
         """Return an array (num_worlds, columns) that `sample` fills in, between bounds."""
         check_choice(f"{self.name} drawn per", value.per, SPANS)
         low, high = np.broadcast_arrays(low, high)
-        limits = (wp.array(limit.copy(), dtype=float) for limit in (low, high))
+        least, most = (wp.array(limit.copy(), dtype=float) for limit in (low, high))
         values = scene.zeros(f"condition.{self.name.replace(' ', '.')}.{len(self.draws)}", columns)
-        self.draws.append(Drawn(*limits, value.per == "life", values, stream_of(f"{self.name} {number}")))
+        self.draws.append(Drawn(least, most, value.per == "life", values, stream_of(f"{self.name} {number}")))
         return values
 
     def _times(self, what: str, value: object) -> np.ndarray:

@@ -14,7 +14,7 @@ from myowarp.apps.rollouts.film import PLAYBACKS
 from myowarp.progress import progress_bar
 from myowarp.view.browser.chart import SHARPNESS, Chart, Curve, as_png
 from myowarp.view.browser.playback import Take, write_playback
-from myowarp.view.browser.traces import INKS, TARGET_DASH, titled
+from myowarp.view.browser.traces import CURVES, TARGET_DASH, titled
 from myowarp.view.browser.trial_traces import FIRST, largest
 from myowarp.view.drawing.recorded import Recorded
 from myowarp.view.drawing.render import WorldRenderer
@@ -92,7 +92,7 @@ def strip(recorded: Recorded, now: float, width: int) -> np.ndarray:
         if (course := recorded.courses.get(kind)) is None:
             continue
         curves = []
-        for ink, k in zip(INKS, largest(recorded, kind)[:number], strict=False):
+        for ink, k in zip(CURVES, largest(recorded, kind)[:number], strict=False):
             curves.append(Curve(course.items[k], course.values[:, k], ink))
             if course.measured is not None and np.isfinite(course.measured[:, k]).any():
                 curves.append(Curve(f"{course.items[k]} EMG", course.measured[:, k], ink, TARGET_DASH))

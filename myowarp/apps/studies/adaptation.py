@@ -36,6 +36,7 @@ from myowarp.apps.rollouts.run import Step, Watcher, progress, run
 from myowarp.definitions.senses import PARAMETERS
 from myowarp.definitions.setup import Setup
 from myowarp.disk import in_place, make_folder, plain, write_rows
+from myowarp.inks import INKS
 from myowarp.sim.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -237,7 +238,7 @@ def _figure(result: Adaptation) -> Figure:
     """Return s(k) of all policies over time."""
     figure = panel.blank(WIDTH, HEIGHT)
     axes = figure.subplots()
-    for policy, curve, color in zip(result.policies, result.curves, cycle(panel.COLORS), strict=False):
+    for policy, curve, color in zip(result.policies, result.curves, cycle(INKS), strict=False):
         axes.plot(result.seconds, 100.0 * curve, color=color, label=policy.policy)
     axes.axvline(0.0, color=panel.INK, linewidth=0.8, linestyle=":")
     axes.set_xlim(result.seconds[0], result.seconds[np.isfinite(result.curves).any(axis=0)][-1])

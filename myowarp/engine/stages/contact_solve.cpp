@@ -3,6 +3,7 @@
 // WIDTH, rows to whole vectors.
 
 #pragma clang diagnostic ignored "-Wvla-cxx-extension"
+#pragma clang diagnostic ignored "-Wpsabi"  // 512 bits on AVX2 are two registers, and no call leaves the file
 typedef float lanes __attribute__((ext_vector_type(8)));
 typedef float loose_lanes __attribute__((ext_vector_type(8), aligned(4)));
 typedef float half __attribute__((ext_vector_type(4)));

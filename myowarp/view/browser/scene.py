@@ -56,8 +56,8 @@ BELLY_BYTES = 120
 THINNEST = 0.002
 """Least radius of a tendon, in units of the framed radius."""
 FLOOR_REACH, LINE = 6.0, 0.003
-"""Half a side of the squares on the floor, and the radius of their lines, in units of the framed radius: a pixel
-or two of a small page. Lines lie on the floor, not in it, where depths are too coarse to keep them in sight."""
+"""Half a side of the squares on the floor, and the radius of their lines, in units of the framed radius: a
+pixel or two of a small page. Lines lie on the floor: in it, depths are too coarse to keep them in sight."""
 PLANE_REACH = 200.0
 """Half a side of a plane, which has no end, in units of the framed radius: its corners are at the horizon."""
 HEAD = 2.5
