@@ -65,8 +65,9 @@ demo: setup ## Film 256 trained hands that reach for targets: success rate, out/
 
 test: lint fast ## Check format, lint and types, then run the fast tests (what CI runs)
 
+# There are as many workers as cores: each has one, for its worlds and for its matrices.
 fast: $(TEST_STAMP) ## Run the fast tests alone
-	$(BIN)/python -m pytest -m "not slow and not view and not scale" -n auto --dist loadfile $(PYTEST)
+	MYOWARP_CORES=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow and not view and not scale" -n auto --dist loadfile $(PYTEST)
 
 test-slow: $(TEST_STAMP) ## Run the tests marked slow
 	$(BIN)/python -m pytest -m "slow and not scale" $(PYTEST)

@@ -64,15 +64,19 @@ def padded(rows, num_worlds=NUM_WORLDS):
     return np.concatenate([rows, np.repeat(rows[-1:], num_worlds - len(rows), axis=0)])
 
 
-def write_state(sim, record, prefix, suffix=""):
-    """Put the first worlds into recorded states; returns how many."""
+def write_state(sim, record, prefix, suffix="", repeat=1):
+    """Put the first worlds into recorded states, all of them so many times; returns how many."""
     data = sim.scene.data
-    data.qpos.assign(padded(record[f"{prefix}_qpos{suffix}"]))
+
+    def rows(name):
+        values = record.get(f"{prefix}_{name}{suffix}")
+        return None if values is None else padded(np.concatenate([values] * repeat))
+
+    data.qpos.assign(rows("qpos"))
     data.qacc_warmstart.zero_()
     for name, array in (("qvel", data.qvel), ("act", sim.scene.muscles.activation)):
-        values = record.get(f"{prefix}_{name}{suffix}")
-        array.zero_() if values is None else array.assign(padded(values))
-    return len(record[f"{prefix}_qpos{suffix}"])
+        array.zero_() if rows(name) is None else array.assign(rows(name))
+    return repeat * len(record[f"{prefix}_qpos{suffix}"])
 
 
 def object_ids(model, meta):
@@ -88,8 +92,9 @@ def reset_rows(record, episodes):
     return np.array([np.flatnonzero(record["reset_episode"] == episode)[0] for episode in episodes])
 
 
+@lru_cache(maxsize=16)  # of one id, or two
 def oracle_of(key, episode):
-    """Return MuJoCo C's model of an id with the objects of a recorded episode."""
+    """Return MuJoCo C's model of an id with the objects of a recorded episode, not to be changed."""
     record, meta = recorded(key)
     model = copy.copy(simulation(key).scene.oracle)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE  # whose tree knows nominal sizes
@@ -255,10 +260,17 @@ def oracle_data(key, episode, **state):
     return model, data
 
 
-def write_episodes(key, table, suffix=""):
-    """Put the first worlds into the states of a table, with their episodes' objects; returns how many."""
+def write_episodes(key, table, suffix="", repeat=1):
+    """Put the first worlds into the states of a table, with their episodes' objects; returns how many.
+
+    Args:
+        key: The id.
+        table: The first word of what was recorded.
+        suffix: Its last word.
+        repeat: How often all states are taken.
+    """
     (record, meta), sim = recorded(key), simulation(key)
-    rows = reset_rows(record, record[f"{table}_episode"])
+    rows = np.tile(reset_rows(record, record[f"{table}_episode"]), repeat)
     if has_solids(key):
         write_solids(sim, record, padded(rows))
     else:
@@ -267,4 +279,4 @@ def write_episodes(key, table, suffix=""):
         sim.scene.data.mocap_quat.assign(padded(record["reset_target_quat"][rows])[:, None])
         if TASKS[key].family == "relocate":
             sim.scene.data.mocap_pos.assign(padded(record["reset_target_pos"][rows])[:, None])
-    return write_state(sim, record, table, suffix)
+    return write_state(sim, record, table, suffix, repeat)

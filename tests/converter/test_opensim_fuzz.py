@@ -99,7 +99,7 @@ def outcome(source, output):
     return True
 
 
-@pytest.mark.parametrize(("names", "count"), [(SMALL, 24), pytest.param(ALL, 200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("names", "count"), [(SMALL, 16), pytest.param(ALL, 200, marks=pytest.mark.slow)])
 def test_mutated_models_end_well(names, count, tmp_path, monkeypatch):
     monkeypatch.setattr(muscle_fit, "POSES", 24)
     monkeypatch.setattr(muscle_fit, "CHECK_POSES", 8)

@@ -244,7 +244,7 @@ def test_list_prints_what_is_committed(run):
 def made(tmp_path_factory):
     """Make the elbow's baseline by this trainer; return the folder of all baselines."""
     folder = tmp_path_factory.mktemp("made")
-    train(plan(REACHED[0], output=folder / "run", device="cpu"))
+    train(plan(REACHED[0], output=folder / "run", device="cpu", stop_success=0.5))
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(baselines, "FOLDER", folder / "baselines")
         add(folder / "run")

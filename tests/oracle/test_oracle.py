@@ -24,36 +24,50 @@ UPSTREAM = [key for key in recorded_ids(DATA) if key not in KEYS and TASKS[key].
 """Ids of upstream, those that were recorded; tasks with objects: test_oracle_contact.py; walking:
 test_oracle_walk.py."""
 
+NUM_WORLDS = 512
 VALUE_TOLERANCE = 1e-5  # observation and reward terms, in their units; float32 against float64
 EDGE = 1e-5  # distances this close to a threshold may fall on either side of it in float32
 QPOS_TOLERANCE = 1e-4  # rad, median over states, one control step
 ACTIVATION_TOLERANCE = 1e-6  # ten steps of float32
 
 
-def recorded(key):
-    """Return what was recorded for an id; fails if nothing was."""
-    return np.load(DATA / f"{key}.npz")
+@pytest.fixture(scope="module", params=UPSTREAM)
+def key(request):
+    """Return an id; its tests come one after the other and share what follows."""
+    return request.param
 
 
-def written(key, record, prefix, steps, **options):
-    """Return a simulation whose worlds are in the recorded states, scored and observed."""
-    sim = Simulation(
-        TASKS[key], len(record[f"{prefix}_qpos"]), device="cpu", graph=False, progress=False, **options
-    )
-    data = sim.scene.data
-    data.qpos.assign(record[f"{prefix}_qpos"])
-    data.qvel.assign(record[f"{prefix}_qvel"])
+@pytest.fixture(scope="module")
+def record(key):
+    """Return what was recorded for an id, arrays by name; fails if nothing was."""
+    with np.load(DATA / f"{key}.npz") as file:
+        return dict(file)
+
+
+@pytest.fixture(scope="module")
+def sim(key):
+    """Return a simulation of more worlds than there are recorded states."""
+    return Simulation(TASKS[key], NUM_WORLDS, device="cpu", graph=False, progress=False)
+
+
+def written(sim, record, prefix, steps):
+    """Put the first worlds into the recorded states, scored and observed; return how many these are."""
+    data, n = sim.scene.data, len(record[f"{prefix}_qpos"])
+    rows = {"qpos": data.qpos, "qvel": data.qvel, "target": sim.shards[0].program.target}
     if sim.scene.muscles.activation.size:
-        sim.scene.muscles.activation.assign(record[f"{prefix}_act"])
-    sim.shards[0].program.target.assign(record[f"{prefix}_target"].reshape(sim.num_worlds, -1))
-    sim.episode.step_count.assign(steps.astype(np.int32))
+        rows["act"] = sim.scene.muscles.activation
+    for name, array in rows.items():
+        array.numpy()[:n] = record[f"{prefix}_{name}"].reshape(n, -1)
+    sim.episode.step_count.numpy()[:n] = steps
+    sim.episode.ended.zero_()
+    sim.transition.fault.zero_()
     everywhere = wp.ones(sim.num_worlds, dtype=bool)
     sim.transition.obs.fill_(np.nan)
     sim.transition.terms.fill_(np.nan)
     mjw.kinematics(sim.scene.model, data)
     sim.shards[0].program.observe(everywhere, sim.transition.obs)
     sim.shards[0].launch_scoring()
-    return sim
+    return n
 
 
 def away_from_edges(sim, record, prefix):
@@ -68,14 +82,14 @@ def away_from_edges(sim, record, prefix):
     return np.min(np.abs(distance[:, None] - np.array(edges)), axis=1) > EDGE
 
 
-@pytest.mark.parametrize("key", UPSTREAM)
 @pytest.mark.parametrize("prefix", ["step", "forced"])
-def test_observation_reward_and_ending(key, prefix, record_property):
-    record = recorded(key)
-    steps = record[f"{prefix}_step"]
-    sim = written(key, record, prefix, steps)
-    transition = sim.transition
-    worst = np.abs(transition.obs.numpy() - record[f"{prefix}_obs"]).max()
+def test_observation_reward_and_ending(sim, record, prefix, record_property):
+    n = written(sim, record, prefix, record[f"{prefix}_step"])
+    names = ("obs", "terms", "reward", "solved", "terminated", "fault")
+    obs, scores, rewards, solved, terminated, fault = (
+        getattr(sim.transition, name).numpy()[:n] for name in names
+    )
+    worst = np.abs(obs - record[f"{prefix}_obs"]).max()
     record_property("observation", float(worst))
     assert worst < VALUE_TOLERANCE
     clear = away_from_edges(sim, record, prefix)
@@ -83,31 +97,28 @@ def test_observation_reward_and_ending(key, prefix, record_property):
     terms = {term.name: i for i, term in enumerate(sim.terms)}
     for name, column in terms.items():
         field = f"{prefix}_sparse" if name == "sparse" else f"{prefix}_reward_{name}"
-        error = np.abs(transition.terms.numpy()[:, column] - record[field])
+        error = np.abs(scores[:, column] - record[field])
         assert error[clear].max() < VALUE_TOLERANCE, name
     reward = record[f"{prefix}_reward"]
-    error = np.abs(transition.reward.numpy() - reward)[clear]
+    error = np.abs(rewards - reward)[clear]
     record_property("reward", float(error.max()))
     assert (error < VALUE_TOLERANCE * (1 + np.abs(reward[clear]))).all()
-    np.testing.assert_array_equal(transition.solved.numpy()[clear], record[f"{prefix}_solved"][clear])
-    np.testing.assert_array_equal(transition.terminated.numpy()[clear], record[f"{prefix}_done"][clear])
-    assert not transition.fault.numpy().any()
+    np.testing.assert_array_equal(solved[clear], record[f"{prefix}_solved"][clear])
+    np.testing.assert_array_equal(terminated[clear], record[f"{prefix}_done"][clear])
+    assert not fault.any()
 
 
-@pytest.mark.parametrize("key", UPSTREAM)
-def test_recorded_states_reach_every_branch(key):
+def test_recorded_states_reach_every_branch(record):
     """Without this the comparison above could pass on constants."""
-    record = recorded(key)
     assert set(np.unique(record["forced_reward_bonus"])) == {0, 1, 2}
     assert set(np.unique(record["forced_solved"])) == {False, True}
     assert set(np.unique(record["forced_done"])) == {False, True}
     assert len(record["episode_length"]) >= 6
 
 
-@pytest.mark.parametrize("key", UPSTREAM)
-def test_task_facts(key):
+def test_task_facts(key, record):
     """Horizon, control step, sizes, order of columns and weights."""
-    record, spec = recorded(key), TASKS[key]
+    spec = TASKS[key]
     meta = json.loads(str(record["meta"]))
     assert spec.horizon == meta["horizon"]
     assert spec.num_substeps == meta["frame_skip"]
@@ -121,38 +132,33 @@ def test_task_facts(key):
     }
 
 
-@pytest.mark.parametrize("key", UPSTREAM)
-def test_episodes_end_like_upstream(key):
+def test_episodes_end_like_upstream(key, record, sim):
     """Truncation: at the horizon and nowhere else; and every recorded episode ended one of both ways."""
-    record, spec = recorded(key), TASKS[key]
+    spec = TASKS[key]
     full = record["episode_length"] == spec.horizon
     np.testing.assert_array_equal(record["episode_truncated"], full)
     steps = np.array([1, spec.horizon - 1, spec.horizon])
-    few = {name: record[name][:3] for name in record.files if name.startswith("reset_")}
-    sim = written(key, few, "reset", steps)
-    np.testing.assert_array_equal(sim.transition.truncated.numpy(), steps == spec.horizon)
+    few = {name: record[name][:3] for name in record if name.startswith("reset_")}
+    n = written(sim, few, "reset", steps)
+    np.testing.assert_array_equal(sim.transition.truncated.numpy()[:n], steps == spec.horizon)
 
 
-@pytest.mark.parametrize("key", UPSTREAM)
-def test_reset_observation(key):
+def test_reset_observation(key, record, sim):
     """What upstream observes after a reset, from its start state and target."""
-    record = recorded(key)
-    sim = written(key, record, "reset", np.zeros(len(record["reset_qpos"])))
-    assert np.abs(sim.transition.obs.numpy() - record["reset_obs"]).max() < VALUE_TOLERANCE
+    n = written(sim, record, "reset", 0)
+    assert np.abs(sim.transition.obs.numpy()[:n] - record["reset_obs"]).max() < VALUE_TOLERANCE
     assert not record["reset_qvel"].any()
     sim.reset(seeds=np.arange(sim.num_worlds))
     assert not sim.scene.data.qvel.numpy().any()
     assert not sim.scene.muscles.activation.numpy().any()
     if all(draw.when == "goal" for draw in TASKS[key].draws):  # the start is one configuration
-        np.testing.assert_allclose(sim.scene.data.qpos.numpy(), record["reset_qpos"], atol=VALUE_TOLERANCE)
+        qpos = sim.scene.data.qpos.numpy()[:n]
+        np.testing.assert_allclose(qpos, record["reset_qpos"], atol=VALUE_TOLERANCE)
 
 
-@pytest.mark.parametrize("key", UPSTREAM)
-def test_targets_are_drawn_like_upstream(key):
+def test_targets_are_drawn_like_upstream(record, sim):
     """Bounds of the targets; the reachable points of the finger row by row."""
-    record, spec = recorded(key), TASKS[key]
-    sim = Simulation(spec, 512, device="cpu", graph=False, progress=False)
-    sim.reset(seeds=np.arange(512))
+    sim.reset(seeds=np.arange(NUM_WORLDS))
     target = sim.shards[0].program.target.numpy()
     if "table_rows" in record:
         table = sim.shards[0].program.table.numpy()
@@ -172,12 +178,8 @@ def test_targets_are_drawn_like_upstream(key):
     assert (target.max(axis=0) - target.min(axis=0) >= 0.97 * spread - VALUE_TOLERANCE).all()
 
 
-@pytest.mark.parametrize("key", UPSTREAM)
-def test_one_control_step_of_physics(key, record_property):
+def test_one_control_step_of_physics(key, record, record_property):
     """qpos and activation after frame_skip substeps from the same state and the same excitation."""
-    record = recorded(key)
-    states = {name.replace("_before", ""): record[name] for name in record.files}
-    states["replay_target"] = np.zeros((len(record["replay_ctrl"]), 1))
     sim = Simulation(TASKS[key], len(record["replay_ctrl"]), device="cpu", graph=False, progress=False)
     data = sim.scene.data
     data.qpos.assign(record["replay_qpos_before"])
@@ -201,12 +203,11 @@ def test_one_control_step_of_physics(key, record_property):
         assert np.abs(activation - record["replay_act_after"]).max() < ACTIVATION_TOLERANCE
 
 
-@pytest.mark.parametrize("key", UPSTREAM)
-def test_action_map(key):
+def test_action_map(record, sim):
     """Action to control, clipping included."""
-    record = recorded(key)
     for action, ctrl in (("step_action", "step_ctrl"), ("clip_action", "clip_ctrl")):
-        sim = Simulation(TASKS[key], len(record[action]), device="cpu", graph=False, progress=False)
-        sim.action.assign(record[action].astype(np.float32))
+        n = len(record[action])
+        sim.action.numpy()[:n] = record[action]
+        sim.scene.data.ctrl.fill_(np.nan)
         sim.shards[0].launch_action()
-        np.testing.assert_allclose(sim.scene.data.ctrl.numpy(), record[ctrl], atol=ACTIVATION_TOLERANCE)
+        np.testing.assert_allclose(sim.scene.data.ctrl.numpy()[:n], record[ctrl], atol=ACTIVATION_TOLERANCE)

@@ -1,6 +1,6 @@
 """What holds for everything registered, without anything being named here."""
 
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 import pytest
@@ -8,8 +8,6 @@ import warp as wp
 
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.task import TASKS
-from myowarp.engine.idle import idle_kernels
-from myowarp.sim.build import stepped_of
 from myowarp.sim.simulation import Simulation
 
 KEYS = sorted(TASKS)
@@ -26,15 +24,20 @@ def actions(num_worlds, num_actions):
     return np.stack(draws, axis=1).astype(np.float32)
 
 
-def trajectory(key, num_worlds, *, disturb=None, **options):
-    """Return observations, rewards, endings and faults of a short run with resets."""
+def simulation(key, num_worlds, **options):
+    """Return a simulation whose episodes are short."""
     settings = {"device": "cpu", "autoreset": "same_step", "horizon": HORIZON, "progress": False} | options
     sim = Simulation(TASKS[key], num_worlds, **settings)
     graphs = [graph for graph in (sim.shards[0].step_graph, sim.shards[0].reset_graph) if graph is not None]
     assert all(graph.replay for graph in graphs), "left to Warp"
-    sim.reset(seeds=100 + np.arange(num_worlds))
+    return sim
+
+
+def trajectory(sim, disturb=None):
+    """Return observations, rewards, endings and faults of a short run with resets."""
+    sim.reset(seeds=100 + np.arange(sim.num_worlds))
     rows = {name: [] for name in ("obs", "reward", "terminated", "truncated", "fault")}
-    for step, action in enumerate(actions(num_worlds, sim.action.shape[1])):
+    for step, action in enumerate(actions(sim.num_worlds, sim.action.shape[1])):
         if disturb is not None:
             disturb(sim, step)
         sim.action.assign(action)
@@ -42,6 +45,12 @@ def trajectory(key, num_worlds, *, disturb=None, **options):
         for name, values in rows.items():
             values.append(getattr(sim.transition, name).numpy().copy())
     return {name: np.stack(values) for name, values in rows.items()}
+
+
+@cache
+def few(key):
+    """Return the trajectory of seven worlds."""
+    return trajectory(simulation(key, 7))
 
 
 def assert_same(first, second, worlds):
@@ -66,12 +75,26 @@ def test_spec_is_complete(key):
 MOST_DEAD = {"relocate": 4}  # height and turn of the bin, which phase 2 draws
 
 
-@lru_cache
-def alive(key):
-    """Return which observation columns vary over random motion and episodes; all are finite."""
-    obs = trajectory(key, 24)["obs"]
+@cache
+def walked(key):
+    """Return what resets draw, the first two and both again, and which observation columns vary.
+
+    Columns vary over random motion and episodes; all are finite.
+    """
+    n = 13  # no other array of a program is of this length
+    sim = simulation(key, n)
+    draws = []
+    for seeds in (np.arange(n), None, np.arange(n), None):
+        sim.reset(seeds=seeds)
+        draws.append(drawn(sim))
+    obs = trajectory(sim)["obs"]
     assert np.isfinite(obs).all()
-    return obs.reshape(-1, obs.shape[2]).std(axis=0) > 0
+    return draws, obs.reshape(-1, obs.shape[2]).std(axis=0) > 0
+
+
+def alive(key):
+    """Return which observation columns vary."""
+    return walked(key)[1]
 
 
 @pytest.mark.parametrize("key", KEYS)
@@ -93,7 +116,7 @@ def test_observation_is_alive(key):
 @pytest.mark.parametrize("key", SCENES)
 def test_world_is_independent_of_the_batch(key):
     """World i goes the same way among 7 and among 64 worlds, resets included."""
-    small, large = trajectory(key, 7), trajectory(key, 64)
+    small, large = few(key), trajectory(simulation(key, 64))
     assert small["truncated"].any()
     assert np.unique(small["obs"][0], axis=0).shape[0] == 7
     assert_same(small, large, slice(0, 7))
@@ -101,13 +124,12 @@ def test_world_is_independent_of_the_batch(key):
 
 @pytest.mark.parametrize("key", SCENES)
 def test_eager_is_the_graph(key):
-    few = trajectory(key, 7)
-    assert_same(few, trajectory(key, 7, graph=False), slice(0, 7))
+    assert_same(few(key), trajectory(simulation(key, 7, graph=False)), slice(0, 7))
 
 
 @pytest.mark.parametrize("key", [key for key in SCENES if "Elbow" in key or "HandReach" in key])
 def test_world_is_independent_of_a_large_batch(key):
-    assert_same(trajectory(key, 7), trajectory(key, 256), slice(0, 7))
+    assert_same(few(key), trajectory(simulation(key, 256)), slice(0, 7))
 
 
 @pytest.mark.parametrize("autoreset", ["same_step", "next_step"])
@@ -120,9 +142,8 @@ def test_a_broken_world_breaks_alone(key, autoreset):
         if step == moment:
             sim.scene.data.qvel.numpy()[broken] = np.nan
 
-    options = {"autoreset": autoreset, "horizon": 100}
-    whole = trajectory(key, 7, **options)
-    hurt = trajectory(key, 7, disturb=disturb, **options)
+    sim = simulation(key, 7, autoreset=autoreset, horizon=100)
+    whole, hurt = trajectory(sim), trajectory(sim, disturb)
     assert_same(whole, hurt, np.arange(7) != broken)
     flagged = np.zeros(NUM_STEPS, dtype=bool)
     flagged[moment] = True
@@ -147,19 +168,11 @@ def drawn(sim):
 @pytest.mark.parametrize("key", KEYS)
 def test_seed_decides(key):
     """The seed of a world decides what it draws, episode after episode; random ids draw, fixed ids do not."""
-    n = 13  # no other array of a program is of this length
-    sim = Simulation(TASKS[key], n, device="cpu", graph=False, progress=False)
-    sim.reset(seeds=np.arange(n))
-    first = drawn(sim)
-    sim.reset()
-    second = drawn(sim)
-    sim.reset(seeds=np.arange(n))
-    np.testing.assert_array_equal(drawn(sim), first)
-    sim.reset()
-    np.testing.assert_array_equal(drawn(sim), second)
+    (first, second, *again), _ = walked(key)
+    np.testing.assert_array_equal(again, [first, second])
     if any(name in key for name in ("Random", "Rough", "TerrainWalk-v1", "P2", "Reorient", "Relocate")):
         assert not np.array_equal(first, second)
-        assert len(np.unique(first, axis=0)) == n
+        assert len(np.unique(first, axis=0)) == len(first)
     elif not getattr(TASKS[key], "random_start", False):
         np.testing.assert_array_equal(first, second, f"{key} draws, but has no Random in its name")
         assert len(np.unique(first, axis=0)) == 1
@@ -182,10 +195,3 @@ def test_masked_reset_touches_only_its_worlds(key):
     np.testing.assert_array_equal(sim.scene.data.qvel.numpy()[mask], np.float32([start, start]))
     assert not sim.episode.step_count.numpy()[mask].any()
     assert np.abs(before[1][mask]).max() > 0
-
-
-@pytest.mark.parametrize("key", SCENES)
-def test_idle_kernels_are_left_out(key):
-    """Verification lets all pass that a model has idle; a state that it forgets to set would let none."""
-    sim = Simulation(TASKS[key], 2, device="cpu", graph=False, progress=False)
-    assert sim.shards[0]._idle == idle_kernels(stepped_of(sim.scene))

@@ -2,8 +2,6 @@
 
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import gymnasium as gym
@@ -150,9 +148,9 @@ def test_gymnasium_takes_a_table():
     env.close()
 
 
-def test_command_lists_the_choices():
-    command = [sys.executable, "-m", "myowarp.apps.cli.main", "rollout", "--help"]
-    text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+def test_command_lists_the_choices(run):
+    status, text, _ = run("rollout", "--help")
+    assert status == 0
     assert "--muscle {" in text
     assert all(name in text for name in MUSCLES)
 

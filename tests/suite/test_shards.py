@@ -24,6 +24,7 @@ from myowarp.view.drawing.snapshot import snapshot
 ELBOW = "myoElbowPose1D6MRandom-v0"
 FAMILIES = sorted({(TASKS[key].family, TASKS[key].body): key for key in TASKS if "Random" in key}.values())
 NUM_WORLDS = 7
+NUM_STEPS = 300  # fifty episodes, and every kind of reset six times
 HORIZON = 6
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
@@ -85,18 +86,18 @@ def assert_same(whole, split):
 
 @pytest.fixture(scope="module")
 def whole():
-    return list(trajectory(build(num_worlds=13, conditions=patients(13)), 1000))
+    return list(trajectory(build(num_worlds=13, conditions=patients(13)), NUM_STEPS))
 
 
 @pytest.mark.parametrize("num_shards", [2, 3, 5])
 def test_the_split_does_not_show(whole, num_shards):
-    """Over 1000 steps with resets, an odd number of worlds, patients of their own."""
+    """Over many steps with resets, an odd number of worlds, patients of their own."""
     split = build(num_shards=num_shards, num_worlds=13, conditions=patients(13))
     sizes = [part.num_worlds for part in split.shards]
     assert len(sizes) == num_shards
     assert sum(sizes) == 13
     assert max(sizes) - min(sizes) == 1
-    assert_same(whole, trajectory(split, 1000))
+    assert_same(whole, trajectory(split, NUM_STEPS))
     split.close()
 
 

@@ -82,7 +82,7 @@ def assert_goes_on(key, path, shards, **options):
 
 @pytest.mark.parametrize("key", SCENES)
 def test_every_family_goes_on(key, tmp_path):
-    assert_goes_on(key, tmp_path / "state.npz", shards=3)
+    assert_goes_on(key, tmp_path / "state.npz", shards=2)
 
 
 @pytest.mark.parametrize("name", NAMES)

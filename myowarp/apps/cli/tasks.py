@@ -55,15 +55,19 @@ def _rows(family: str | None) -> Iterable[dict[str, Any]]:
     from myowarp.sim.build import oracle_model
 
     chosen = [TASKS[key] for key in TASKS if family in (None, TASKS[key].family)]
+    sizes: dict[tuple[Any, ...], tuple[int, ...]] = {}
     for spec in track(chosen, "Building bodies", console=Console(stderr=True), transient=True):
-        model = oracle_model(spec)
+        if spec.scene_key not in sizes:
+            model = oracle_model(spec)
+            sizes[spec.scene_key] = model.nq, model.nv, model.na, model.nu
+        nq, nv, na, nu = sizes[spec.scene_key]
         yield {
             "id": spec.env_id,
             "family": spec.family,
             "body": spec.body,
-            "obs": sum(column.size for column in spec.columns(model.nq, model.nv, model.na)),
-            "act": model.nu,
-            "muscles": model.na,
+            "obs": sum(column.size for column in spec.columns(nq, nv, na)),
+            "act": nu,
+            "muscles": na,
             "horizon": spec.horizon,
             "control_dt": spec.control_dt,
             "summary": spec.summary,
