@@ -16,9 +16,11 @@ from myowarp.motion.smooth import derivatives
 from myowarp.motion.storage import read_storage
 from myowarp.motion.tracking import equations
 from myowarp.motion.trial import dynamics, forces, read_motion, write_angles
+from myowarp.osim.body.model_forces import left_out
 from myowarp.osim.body.muscle_paths import muscle_paths
 from myowarp.osim.body.skeleton import Bones
 from myowarp.osim.document.read.components import READERS
+from myowarp.osim.document.read.model import read_model
 
 DATA = Path(__file__).parents[1] / "data"
 ARM = (DATA / "osim/arm26.osim").read_text()
@@ -125,3 +127,12 @@ def test_a_body_actuator_is_six_motors(in_ground, tmp_path):
     still = np.zeros_like(angle)
     law = np.stack([still, still, still + 1.0, -y, x, still], axis=1)
     np.testing.assert_allclose(motors.effect[:, :, 0], law, atol=1e-12)
+
+
+def test_constraints_that_hold_nothing_in_a_motion_are_named():
+    said = left_out(read_model(DATA / "osim/loops.osim"))
+    assert said.startswith(
+        "left out, though OpenSim has it act: point constraint 'open_point' (open_crank_q, open_bar_q, "
+        "open_rocker_q); point constraint 'jaw_point' ("
+    )
+    assert said.endswith(" (shut_crank_q, shut_bar_q, shut_rocker_q, shut_q)")
