@@ -35,6 +35,7 @@ from myowarp.coordinates.hinge_triples import (
     triples_of,
     turn_triples,
 )
+from myowarp.coordinates.loops import close_loops, loop_factors
 from myowarp.coordinates.reduction import (
     Acting,
     Coordinates,
@@ -65,6 +66,7 @@ from myowarp.osim.bundle.couplings import (
     jacobian,
     regularity,
 )
+from myowarp.osim.bundle.loops import loop_rows
 
 SAME_MASS = 1e-9  # relative; a body that has taken in others, or was made heavier, keeps its mass
 MOST_DENSE = 60  # columns of J that mujoco-warp holds densely
@@ -276,6 +278,7 @@ class FreeCoordinates(Step):
         free: The free coordinates, for the places of `MOTION`.
         followers: How all joints follow them.
         triples: Hinges that turn like a ball; None: there are none.
+        loops: Scratch of loops that hold exactly; None: there are none.
         reduction: The kernel that writes what acts along the coordinates, and its threads.
     """
 
@@ -319,6 +322,10 @@ class FreeCoordinates(Step):
         shape = stepped.data.nworld, -1, self.free.oracle.nv
         self._rows = filled(RowJacobian, rows)
         self._rows.J = rows.J.reshape(shape) if self.free.model.is_sparse else rows.J
+        self.loops = None
+        if looped := loop_rows(host):
+            with wp.ScopedDevice(stepped.device):
+                self.loops = loop_factors(stepped.data.nworld, looped, self.free.oracle.nv)
 
     def at(self, place: str) -> Stepped:
         """Return what a place steps: all joints until what acts is known, then the free coordinates."""
@@ -409,6 +416,18 @@ class FreeCoordinates(Step):
                 positions=free.data.qpos,
                 J=self._rows.J,
                 actuator_moment=reduced.actuator_moment.reshape((data.nworld, -1, free.oracle.nv)),
+            )
+        if self.loops is not None:
+            launch(
+                close_loops,
+                data.nworld,
+                data,
+                M=reduced.M,
+                qfrc_applied=reduced.qfrc_applied,
+                factors=self.loops,
+                free_rows=self._rows,
+                D=data.efc.D,
+                qacc_warmstart=free.data.qacc_warmstart,
             )
 
     def expand(self) -> None:

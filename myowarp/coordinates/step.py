@@ -9,6 +9,7 @@ from myowarp.engine.stage import or_the_engines
 from myowarp.engine.step import Step, uncovered
 from myowarp.engine.stepped import Stepped
 from myowarp.osim.bundle.couplings import Couplings, couplings
+from myowarp.osim.bundle.loops import loop_rows
 
 logger = logging.getLogger("myowarp")
 
@@ -49,6 +50,6 @@ def data_beside(model: mujoco.MjModel, worlds: int, contacts: int, rows: int) ->
 
 
 def _asks(model: mujoco.MjModel) -> bool:
-    """Return whether a model asks for joints that follow exactly, and has some."""
+    """Return whether a model asks for joints that follow or loops that close exactly, and has some."""
     said = Couplings.of(model)
-    return said is not None and bool(couplings(model) or said.acts)
+    return said is not None and bool(couplings(model) or said.acts or loop_rows(model))

@@ -31,7 +31,8 @@ from myowarp.engine.stepped import Stepped
 from myowarp.kernels.action import MOTOR, MUSCLE
 from myowarp.kernels.random import new_keys
 from myowarp.models.slim import slim
-from myowarp.osim.bundle.couplings import NOTHING, settled
+from myowarp.osim.bundle.couplings import NOTHING
+from myowarp.osim.bundle.loops import settled
 from myowarp.process import start_warp, warn_once, with_build_lock
 from myowarp.sim.capacity import calibrate
 from myowarp.sim.memory import check_memory

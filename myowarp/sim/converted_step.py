@@ -56,8 +56,7 @@ class OurStep:
             coordinates: Of the model.
             spec: The model; it is changed.
         """
-        loops = [equality for equality in spec.equalities if equality.type != mujoco.mjtEq.mjEQ_JOINT]
-        for element in (*spec.actuators, *spec.tendons, *loops, *spec.geoms, *spec.meshes):
+        for element in (*spec.actuators, *spec.tendons, *spec.geoms, *spec.meshes):
             spec.delete(element)
         spec.option.disableflags |= OFF
         # What the file says is for MuJoCo C; mujoco-warp has dense Jacobians of up to 60 joints only.

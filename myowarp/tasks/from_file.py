@@ -18,7 +18,8 @@ from myowarp.definitions.setup import CONTACTS
 from myowarp.definitions.task import MOST_SUBSTEPS, TaskSpec, register, split_key
 from myowarp.models.bodies.from_file import OPENSIM, register_body
 from myowarp.models.reachability import tip_positions
-from myowarp.osim.bundle.couplings import couplings, follow, settled
+from myowarp.osim.bundle.couplings import couplings, follow
+from myowarp.osim.bundle.loops import settled
 from myowarp.sim.build import checked_horizon, full_model
 from myowarp.tasks.extend import Reward, extend
 from myowarp.tasks.pose import PoseTask

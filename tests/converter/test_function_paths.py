@@ -11,7 +11,13 @@ import pytest
 from myowarp.osim.body.muscle_paths import PathsOfMuscles, muscle_paths
 from myowarp.osim.body.scale_document import Document, read_with, scale_document
 from myowarp.osim.body.skeleton import Bones
-from myowarp.osim.convert.function_paths import ARM, LENGTH, fit_function_paths, write_function_paths
+from myowarp.osim.convert.function_paths import (
+    ARM,
+    JUMP,
+    LENGTH,
+    fit_function_paths,
+    write_function_paths,
+)
 from myowarp.osim.document.kinematics import sampling_range
 from myowarp.osim.document.read.element import parse
 from myowarp.osim.document.read.functions import exponents
@@ -122,7 +128,15 @@ def test_fits_are_as_near_as_they_say(tmp_path):
     off = np.abs(found.length - theirs.length).max(axis=0)
     arm = np.abs(found.moment_arm - theirs.moment_arm).max(axis=(0, 2))
     good = np.array([one.good for one in fitted])
-    assert good.sum() >= 5, "psoas jumps by 19 mm, three others bend where their wraps begin"
+    assert good.sum() >= 5
+    # What is beyond the bounds jumps by itself, and nothing else does.
+    assert all((one.jump > JUMP) != one.good for one in fitted)
+    psoas, hip = found.muscles.index("psoas_r"), bones.coordinates.index("hip_flexion_r")
+    line = np.zeros((4001, len(low)))
+    line[:, hip] = np.linspace(low[hip], high[hip], len(line))
+    steps = np.abs(np.diff(muscle_paths(bones, line, 0 * line, ["psoas_r"]).length[:, 0]))
+    np.testing.assert_allclose(fitted[psoas].jump, steps.max(), atol=1e-4)
+    assert fitted[psoas].jump > 100 * np.median(steps)
     assert off[good].max() <= 1.3 * LENGTH
     assert arm[good].max() <= 1.3 * ARM
     assert max(one.length_worst for one in fitted) > 10 * LENGTH

@@ -60,7 +60,8 @@ def test_frames_equal_recorded(name):
     for key, value in values.items():
         np.testing.assert_allclose(value, given[key], atol=ROUNDING, err_msg=key)
     frames = forward(model, values)
-    assert set(recorded["bodies"]) == set(model.bodies)
+    copies = {constraint.name for constraint in model.constraints}  # of bodies in loops
+    assert set(recorded["bodies"]) == set(model.bodies) - copies
     for index, body in enumerate(recorded["bodies"]):
         np.testing.assert_allclose(frames[body][1], recorded["origin"][:, index], atol=ROUNDING, err_msg=body)
         np.testing.assert_allclose(

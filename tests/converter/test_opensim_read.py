@@ -275,7 +275,7 @@ def test_couplers_in_a_circle(tmp_path):
 
 
 def test_loops_of_joints(tmp_path):
-    """A joint too many moves a copy of its body, which is welded to the body."""
+    """A joint too many moves a copy of its body, which is welded to the body and has half of its mass."""
     weld = '<WeldJoint name="shut"><socket_parent_frame>/ground</socket_parent_frame>'
     weld += "<socket_child_frame>/bodyset/loose</socket_child_frame></WeldJoint>"
     path = changed(tmp_path, JOINTS, '<PinJoint name="loc">', f'{weld}<PinJoint name="loc">')
@@ -284,7 +284,11 @@ def test_loops_of_joints(tmp_path):
     (closing,) = (joint for joint in model.joints.values() if joint.child == copy)
     body = copy.removesuffix(f"-closed-by-{closing.name}")
     assert body in model.bodies
-    assert model.bodies[copy].mass == 0
+    whole = read_model(JOINTS).bodies[body]
+    assert whole.mass > 0
+    for half in (model.bodies[body], model.bodies[copy]):
+        assert half.mass == whole.mass / 2
+        np.testing.assert_array_equal(half.inertia, whole.inertia / 2)
     constraint = model.constraints[-1]
     assert (constraint.kind, constraint.bodies) == ("weld", (body, copy))
 

@@ -67,6 +67,43 @@ FORCES = {
 <damping_coefficient>0.003</damping_coefficient></Blankevoort1991Ligament>""",
     "expression": """<ExpressionBasedCoordinateForce name="expression"><coordinate>r_elbow_flex</coordinate>
 <expression>-3*q-0.4*qdot</expression></ExpressionBasedCoordinateForce>""",
+    "cuff": '<FunctionBasedBushingForce name="cuff">'
+    + BODIES.format(
+        "base", "r_ulna_radius_hand", "0.01 -0.05 0.15", "0.1 -0.2 0.3", "0.02 -0.03 0.01", "-0.2 0.1 0.2"
+    )
+    + """<m_z_theta_z_function><PolynomialFunction><coefficients>2 0.5 3 0.1</coefficients>
+</PolynomialFunction></m_z_theta_z_function><f_y_delta_y_function><LinearFunction>
+<coefficients>90 2</coefficients></LinearFunction></f_y_delta_y_function>
+<rotational_damping>0.2 0.1 0.3</rotational_damping>
+<translational_damping>2 3 1</translational_damping></FunctionBasedBushingForce>""",
+    "strap": '<ExpressionBasedBushingForce name="strap">'
+    + BODIES.format(
+        "base", "r_ulna_radius_hand", "0.01 -0.05 0.15", "0.1 -0.2 0.3", "0.02 -0.03 0.01", "-0.2 0.1 0.2"
+    )
+    + """<Mz_expression>2*sin(theta_z)+exp(theta_x)-1</Mz_expression>
+<Fx_expression>50*delta_x</Fx_expression><Fy_expression>80*delta_y+30*delta_x*theta_z</Fy_expression>
+<rotational_damping>0.2 0.1 0.3</rotational_damping>
+<translational_damping>2 3 1</translational_damping></ExpressionBasedBushingForce>""",
+    "cord": f"""<ExpressionBasedPathForce name="cord">{PATH}<resting_length>0.3</resting_length>
+<expression>900*s*(1+0.3*ldot)+50*s^2</expression></ExpressionBasedPathForce>""",
+    "line": """<PointToPointSpring name="line"><socket_body1>/bodyset/base</socket_body1>
+<socket_body2>/bodyset/r_ulna_radius_hand</socket_body2><point1>0.05 0.02 0.01</point1>
+<point2>0.03 -0.1 0.02</point2><stiffness>200</stiffness><rest_length>0.2</rest_length>
+</PointToPointSpring>""",
+    "tube": """<ExpressionBasedPointToPointForce name="tube"><body1>base</body1>
+<body2>r_ulna_radius_hand</body2><point1>0.03 -0.02 0.01</point1><point2>0.03 -0.1 0.02</point2>
+<expression>120*(d-0.15)^2+15*ddot</expression></ExpressionBasedPointToPointForce>""",
+    "wind": """<PrescribedForce name="wind"><socket_frame>/bodyset/r_ulna_radius_hand</socket_frame>
+<pointIsGlobal>false</pointIsGlobal><forceIsGlobal>true</forceIsGlobal>
+<FunctionSet name="forceFunctions"><objects>
+<Constant><value>4</value></Constant><Sine><amplitude>9</amplitude><omega>6</omega><phase>0.3</phase>
+<offset>2</offset></Sine><Constant><value>-3</value></Constant></objects></FunctionSet>
+<FunctionSet name="pointFunctions"><objects><Constant><value>0.02</value></Constant>
+<Constant><value>-0.2</value></Constant><LinearFunction><coefficients>0.1 0.02</coefficients>
+</LinearFunction></objects></FunctionSet>
+<FunctionSet name="torqueFunctions"><objects><Constant><value>0.5</value></Constant>
+<Constant><value>0.2</value></Constant><Constant><value>-1</value></Constant></objects></FunctionSet>
+</PrescribedForce>""",
     "motor": """<CoordinateActuator name="motor"><min_control>-0.4</min_control>
 <max_control>0.02</max_control><coordinate>r_elbow_flex</coordinate><optimal_force>5</optimal_force></CoordinateActuator>""",
     "cable": f"""<PathActuator name="cable"><min_control>0</min_control><max_control>1</max_control>
@@ -79,7 +116,10 @@ FORCES = {
 <direction>1 0.3 0.1</direction><force_is_global>false</force_is_global><optimal_force>15</optimal_force>
 </PointActuator>""",
 }
-ALONE = ("spring", "limit", "bushing", "band", "ligament", "blankevoort", "expression", "motor")
+ALONE = (
+    *("spring", "limit", "bushing", "cuff", "strap", "band", "cord", "ligament", "blankevoort"),
+    *("line", "tube", "expression", "wind", "motor"),
+)
 TOGETHER = ("spring", "limit", "bushing", "band")
 EXCLUDED = ("Muscles", "muscles+spring", "Muscles+limit+band", "Muscles+nobody", "ALL", "actuators")
 DRIVEN = ("spring", "bushing", "band", "motor", "cable", "twist", "thrust")

@@ -3,8 +3,10 @@
     myowarp rollout --model arm.xml --policy controls.sto
 
 A column is called like its muscle or motor, with or without `.excitation` behind it and `/forceset/` before
-it. Between two rows the excitation changes linearly; before the first row and after the last one it keeps
-that row's value. A control step holds the value of its end, so a recording of every step replays itself.
+it; CMC's, RRA's and Moco's files have such columns beside others. Between two rows the excitation changes
+linearly; before the first row and after the last one it keeps that row's value. A control step holds the
+value of its end, so a recording of every step replays itself. A file that begins later than with the end of
+the first step, as one of a part of a trial does, begins with the episode.
 """
 
 from __future__ import annotations
@@ -22,6 +24,9 @@ if TYPE_CHECKING:
     from myowarp.sim.simulation import Simulation
 
 logger = logging.getLogger("myowarp")
+
+ROUNDING = 1e-3
+"""Share of a control step by which the first row of a recording may be later than its end."""
 
 
 def is_replay(name: str) -> bool:
@@ -44,10 +49,12 @@ class Replay:
             ValueError: A muscle has no column, or an excitation is outside of 0 to 1.
         """
         scene = sim.scene
-        names = scene.muscles.names
-        if not names:
-            raise ValueError(f"policy {name!r} excites muscles; the body of task {scene.spec.key!r} has none")
-        columns = np.array([_column(storage, muscle, name) for muscle in names])
+        names, self._motors = scene.muscles.names, _motors(storage, sim, name)
+        if not names and not self._motors:
+            raise ValueError(
+                f"policy {name!r} drives muscles or motors; it has no column of one of {scene.spec.key!r}"
+            )
+        columns = np.array([_column(storage, muscle, name) for muscle in names], int)
         values = storage.values[:, columns]
         if (outside := (values < 0.0) | (values > 1.0)).any():
             row, muscle = np.argwhere(outside)[0]
@@ -55,11 +62,15 @@ class Replay:
                 f"excitations of {name!r} must be from 0 to 1; {names[muscle]} has {values[row, muscle]:g} "
                 f"at {storage.time[row]:g} s"
             )
-        if values.max() > (most := excitation(1.0, scene.spec.linear_excitation)):
+        if values.size and values.max() > (most := excitation(1.0, scene.spec.linear_excitation)):
             logger.warning("excitations of %s above %.3f become %.3f: actions give no more", name, most, most)
-        self._time, self._values = storage.time, values
+        begin = storage.time[0]
+        if begin > (1.0 + ROUNDING) * scene.control_dt:
+            logger.warning("%s begins at %g s; that is the begin of an episode", name, begin)
+        else:
+            begin = 0.0
+        self._time, self._values = storage.time - begin, values
         self._sim, self._actuator_id = sim, scene.muscles.actuator_id
-        self._motors = _motors(storage, sim, name)
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
         """Return actions (num_worlds, num_actions) of the step that comes; 0 for motors without a column."""

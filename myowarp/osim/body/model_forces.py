@@ -7,7 +7,7 @@ and not here is named (`left_out`), and what a set-up file excludes is taken out
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -199,7 +199,8 @@ def acts(model: Model) -> bool:
 def left_out(model: Model) -> str:
     """Return what acts in OpenSim beside muscles and not here, with the coordinates whose moments it changes.
 
-    It is one sentence; "": nothing is left out.
+    Constraints that close loops are among it: the tools of OpenSim hold them. It is one sentence; "": nothing
+    is left out.
     """
     lost = [note for note in model.notes if isinstance(note, Loss) and note.effect in ("force", "contact")]
     shapes = {shape.name: shape.body for shape in model.shapes if shape.contact}
@@ -210,11 +211,18 @@ def left_out(model: Model) -> str:
             bodies = [name for name in (*model.bodies, GROUND) if name in note.names]
             bodies += [body for name, body in shapes.items() if name in note.names]
             moved = coordinates_between(model, bodies if len(set(bodies)) > 1 else [*bodies, GROUND])
-        on = leading(model, moved)
-        more = f" and {len(on) - LISTED} more" if len(on) > LISTED else ""
-        where = f"{', '.join(on[:LISTED])}{more}" if on else "on which coordinates is not known"
+        where = _listed(leading(model, moved))
         said.append(f"{note.code} {note.path.rpartition('/')[2]!r} ({where})")
+    for item in model.constraints:
+        on = leading(model, coordinates_between(model, item.bodies))
+        said.append(f"{item.kind} constraint {item.name!r} ({_listed(on)})")
     return f"left out, though OpenSim has it act: {'; '.join(said)}" if said else ""
+
+
+def _listed(coordinates: Sequence[str]) -> str:
+    """Return the first coordinates of some, and how many more there are."""
+    more = f" and {len(coordinates) - LISTED} more" if len(coordinates) > LISTED else ""
+    return f"{', '.join(coordinates[:LISTED])}{more}" or "on which coordinates is not known"
 
 
 def without(model: Model, names: Iterable[str]) -> tuple[Model, list[str]]:

@@ -167,14 +167,6 @@ def follow(model: mujoco.MjModel, qpos: np.ndarray) -> None:
         qpos[address] = coupling.derivatives(qpos[driver] if coupling.driver >= 0 else 0.0)[0]
 
 
-def settled(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
-    """Return a copy of a configuration (nq,) in which the joints that follow exactly do."""
-    qpos = qpos.copy()
-    if Couplings.of(model) is not None:
-        follow(model, qpos)
-    return qpos
-
-
 def jacobian(
     model: mujoco.MjModel, ties: Sequence[Coupling], qpos: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -4,7 +4,9 @@ OpenSim 4.6 and MyoWarp both read the set that is written (`FunctionBasedPath`),
 than one that wraps. A polynomial has all terms up to an order; it is fitted by least squares to lengths and
 moment arms in random poses of the coordinates that the path crosses, in products of Chebyshev's polynomials,
 and the least order is taken whose errors in other poses are within `LENGTH` and `ARM`. The length of a path
-that crosses one coordinate is a spline, which bends where a wrap begins.
+that crosses one coordinate is a spline, which bends where a wrap begins. No function follows a path that
+jumps, as some of OpenSim's do where a wrap lets go or a point comes in: in paths beyond the bounds, jumps are
+sought.
 
 Source: van den Bogert et al. (2013), doi:10.1007/s11517-013-1076-z; the classes are OpenSim 4.6's
 `FunctionBasedPath` and `MultivariatePolynomialFunction`.
@@ -35,8 +37,12 @@ POSES, HELD_OUT = 6000, 2000
 """Random poses of a fit, half of them nearer the ends of the ranges, and of its check."""
 MOST_TERMS = 500
 MOST_ORDER = 12
+JUMP = 1e-5
+"""m: lesser steps are rounding."""
 KNOTS = (9, 17, 33, 65, 129)
 SEED = 0
+LINES, MARKS, KEPT_LINES, HALVINGS = 200, 33, 20, 12
+"""Lines on which jumps are sought, poses on each, lines that are followed, and how often these are halved."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -60,6 +66,8 @@ class FittedPath:
     length_worst: float
     arm_rms: float
     arm_worst: float
+    jump: float = 0.0
+    """Greatest step of the path's own length between two poses that are one [m]; sought if not good."""
 
     @property
     def good(self) -> bool:
@@ -115,8 +123,41 @@ def fit_function_paths(bones: Bones) -> tuple[list[FittedPath], list[str]]:
             waiting = [number for number in waiting if not found[names[number]].good]
             if not waiting:
                 break
+    for name, one in found.items():
+        if not one.good:
+            found[name] = dataclasses.replace(one, jump=_jump(bones, name, low, high))
     kept = [found[name] for name in names if name in found]
     return kept, [name for name in names if name not in found]
+
+
+def _jump(bones: Bones, name: str, low: np.ndarray, high: np.ndarray) -> float:
+    """Return the greatest step that is found of a path's length along straight lines through the ranges [m].
+
+    A step is what the length changes by beyond its moment arms, halved in until both ends are one pose.
+    """
+
+    def steps(values: np.ndarray) -> np.ndarray:
+        found = muscle_paths(
+            bones, values.reshape(-1, len(low)), np.zeros((values[..., 0].size, len(low))), [name]
+        )
+        length = found.length.reshape(values.shape[:-1])
+        arm = found.moment_arm[:, 0].reshape(values.shape)
+        turned = (arm[:, 1:] + arm[:, :-1]) / 2 * np.diff(values, axis=1)
+        return np.abs(np.diff(length, axis=1) + turned.sum(axis=-1))
+
+    ends = low + (high - low) * np.random.default_rng(SEED).uniform(size=(2, LINES, 1, len(low)))
+    values = ends[0] + (ends[1] - ends[0]) * np.linspace(0.0, 1.0, MARKS)[:, None]
+    apart = steps(values)
+    rows, places = np.arange(LINES), apart.argmax(axis=1)
+    chosen = np.argsort(-apart[rows, places])[:KEPT_LINES]
+    pair = np.stack([values[chosen, places[chosen]], values[chosen, places[chosen] + 1]], axis=1)
+    for _ in range(HALVINGS):
+        values = np.stack([pair[:, 0], pair.mean(axis=1), pair[:, 1]], axis=1)
+        apart = steps(values)
+        later = apart.argmax(axis=1)
+        rows = np.arange(len(pair))
+        pair = np.stack([values[rows, later], values[rows, later + 1]], axis=1)
+    return float(apart.max())
 
 
 def fitted_spline(
@@ -263,10 +304,13 @@ def write_fitted(source: Path, output: Path) -> str:
     bones = Bones.read(source)
     fitted, without = fit_function_paths(bones)
     write_function_paths(output / FILES[0], bones.model, fitted)
-    columns = "length rms [m]", "length worst [m]", "moment arm rms [m]", "moment arm worst [m]"
+    columns = (
+        *("length rms [m]", "length worst [m]", "moment arm rms [m]", "moment arm worst [m]"),
+        "jump of the path [m]",
+    )
     rows = [",".join(("path", "coordinates", "order or knots", *columns))]
     for one in fitted:
-        errors = one.length_rms, one.length_worst, one.arm_rms, one.arm_worst
+        errors = one.length_rms, one.length_worst, one.arm_rms, one.arm_worst, one.jump
         cells = [one.name, " ".join(one.function.coordinates), str(one.order), *map("{:.3g}".format, errors)]
         rows.append(",".join(cells))
     with in_place(output / FILES[1]) as scratch:
@@ -274,10 +318,14 @@ def write_fitted(source: Path, output: Path) -> str:
     beyond = [one for one in fitted if not one.good]
     said = f"{len(fitted)} paths as functions in {output / FILES[0]}"
     if beyond:
-        worst = max(beyond, key=lambda one: one.badness)
+        each = (
+            f"{one.name} {1e3 * one.length_worst:.2g} and {1e3 * one.arm_worst:.2g} mm"
+            + (f" (its own length jumps by {1e3 * one.jump:.2g} mm)" if one.jump > JUMP else "")
+            for one in sorted(beyond, key=lambda one: -one.badness)
+        )
         said += (
-            f"; {len(beyond)} at worst beyond {1e3 * LENGTH:g} mm of length or {1e3 * ARM:g} mm of arm, "
-            f"{worst.name} most: {1e3 * worst.length_worst:.2g} and {1e3 * worst.arm_worst:.2g} mm"
+            f"; {len(beyond)} beyond {1e3 * LENGTH:g} mm of length or {1e3 * ARM:g} mm of arm at worst: "
+            + ", ".join(each)
         )
     return said + (f"; none for {', '.join(without)}" if without else "")
 

@@ -100,7 +100,7 @@ def add_forces(
             build.notes.append(Loss(f"/forceset/{formula.name}", ONLY_HERE, code=kind))
     for force in build.model.prescribed_forces if instead else ():
         build.notes.append(Loss(f"/forceset/{force.name}", ONLY_HERE, code="PrescribedForce"))
-    _add_constraints(build)
+    _add_constraints(build, instead)
 
 
 def _motor(
@@ -399,8 +399,8 @@ def _add_bushing_between(build: Build, bushing: Bushing, path: str) -> None:
         build.notes.append(Loss(path, rule, code=bushing.type))
 
 
-def _add_constraints(build: Build) -> None:
-    """Add welds and connections that close loops."""
+def _add_constraints(build: Build, instead: bool) -> None:
+    """Add welds and connections that close loops; `instead` as in `add_forces`."""
     for item in build.model.constraints:
         names = []
         for body, frame, side in zip(item.bodies, item.frames, "12", strict=True):
@@ -415,6 +415,7 @@ def _add_constraints(build: Build) -> None:
         equality.solref, equality.solimp = TIGHT
         if item.kind == "weld":
             equality.data[10] = 1.0
-        rule = "a soft equality closes its loop; poses that are sampled and compared leave it open"
-        code = "WeldConstraint" if item.kind == "weld" else "PointConstraint"
-        build.notes.append(Loss(f"/constraintset/{item.name}", rule, code=code, effect="motion"))
+        if instead:
+            rule = "in plain MuJoCo a soft equality closes its loop; poses that are compared leave it open"
+            code = "WeldConstraint" if item.kind == "weld" else "PointConstraint"
+            build.notes.append(Loss(f"/constraintset/{item.name}", rule, code=code, effect="motion"))

@@ -26,6 +26,7 @@ READERS: dict[str, tuple[str, Callable[[Element, Scope], Any]]] = {
     "ActivationCoordinateActuator": ("coordinate_actuators", read_forces.read_coordinate_actuator),
     "TorqueActuator": ("body_actuators", read_forces.read_body_actuator),
     "PointActuator": ("body_actuators", read_forces.read_body_actuator),
+    "BodyActuator": ("body_actuators", read_forces.read_spatial_actuator),
     "CoordinateLimitForce": ("limit_forces", read_forces.read_limit_force),
     "ExpressionBasedCoordinateForce": ("coordinate_formulas", read_forces.read_coordinate_formula),
     "PrescribedForce": ("prescribed_forces", read_forces.read_prescribed_force),
@@ -43,7 +44,7 @@ READERS: dict[str, tuple[str, Callable[[Element, Scope], Any]]] = {
     "PointConstraint": ("constraints", read_forces.read_constraint),
     "Marker": ("markers", read_forces.read_marker),
 }
-"""OpenSim's class: field of `Model`, and who reads it. Bodies and joints are read before."""
+"""OpenSim's class: field of `Model`, and who reads one or several. Bodies and joints are read before."""
 
 MAX_CHAIN = 30  # couplers in series; composed functions are evaluated recursively
 
@@ -88,9 +89,12 @@ def read_components(components: list[tuple[str, Element]], scope: Scope) -> dict
             scope.notes.append(unread(path, element))
             continue
         field, read = READERS[element.tag]
-        item = read(element, scope)
-        key = item.dependent if isinstance(item, Coupler) else item.name
-        if key in found[field]:
+        items = read(element, scope)
+        for item in items if isinstance(items, tuple) else (items,):
+            key = item.dependent if isinstance(item, Coupler) else item.name
+            if key not in found[field]:
+                found[field][key] = item
+                continue
             # Names of markers need not differ, and two couplers may want one coordinate.
             if field == "couplers":
                 raise element.error(f"drives coordinate {key!r}, as {found[field][key].name!r} does")
@@ -100,8 +104,6 @@ def read_components(components: list[tuple[str, Element]], scope: Scope) -> dict
                 if field == "markers"
                 else Loss(path, again, code=element.tag, names=element.words())
             )
-            continue
-        found[field][key] = item
         if element.tag == "ActivationCoordinateActuator":
             rule = "its activation dynamics are left out; it acts at once"
             scope.notes.append(Loss(path, rule, code=element.tag, effect="control"))

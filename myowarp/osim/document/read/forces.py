@@ -73,6 +73,28 @@ def read_body_actuator(element: Element, scope: Scope) -> BodyActuator:
     )
 
 
+def read_spatial_actuator(element: Element, scope: Scope) -> tuple[BodyActuator, ...]:
+    """Return a `BodyActuator`: a motor for each of its six controls, three torques and three forces of 1.
+
+    Their names are those of OpenSim's controls.
+
+    Raises:
+        NotImplementedError: It acts at a point of ground.
+    """
+    body, frame = scope.frames.attached(element, "body")
+    if element.flag("point_is_global", default=False):
+        raise element.unsupported("acts at a point fixed in ground; only points of the body are supported")
+    in_ground = element.flag("spatial_force_is_global", default=True)
+    point = frame.point(element.numbers("point", default=ZERO, count=3))
+    axes = np.eye(3) if in_ground else frame.rotation.T
+    kinds: tuple[Literal["torque", "point"], ...] = "torque", "point"
+    limits = control_range(element, -math.inf, math.inf)
+    return tuple(
+        BodyActuator(f"{element.name}_{number}", kind, body, GROUND, point, axis, in_ground, 1.0, limits)
+        for number, (kind, axis) in enumerate((kind, axis) for kind in kinds for axis in axes)
+    )
+
+
 def read_limit_force(element: Element, scope: Scope) -> CoordinateLimitForce:
     """Return the springs at a coordinate's limits; OpenSim writes those of angles in degrees."""
     name = scope.coordinate(element, "coordinate")

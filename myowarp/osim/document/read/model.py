@@ -5,7 +5,8 @@ counterpart here is skipped with a `Note`. Documents before 4.0 keep joints insi
 and know no offset frames; both forms end in the same `Model`.
 """
 
-from collections.abc import Container
+from collections.abc import Container, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -105,7 +106,7 @@ def model_of(path: Path, version: int, root: Element, notes: list[Note]) -> Mode
     _refuse_duplicates(components)
     joints, coordinates, copies = _joints(components, frames, notes)
     bodies = {element.name: _body(element) for _, element in components if _is_body(element)}
-    bodies.update((copy, Body(copy, 0.0, np.zeros(3), np.zeros(6))) for copy in copies)
+    bodies.update(_shared(bodies, copies))
     wraps, more = read_wraps(model, frames)
     notes += more
     found = read_components(components, Scope(frames, coordinates, wraps, notes))
@@ -144,6 +145,17 @@ def model_of(path: Path, version: int, root: Element, notes: list[Note]) -> Mode
         notes=tuple(notes),
         frames=MappingProxyType(frames.named()),
     )
+
+
+def _shared(bodies: Mapping[str, Body], copies: Mapping[str, str]) -> dict[str, Body]:
+    """Return bodies with copies, and these: each has the same share of the mass, as in OpenSim."""
+    shared = {}
+    for body in dict.fromkeys(copies.values()):
+        names = [body, *(copy for copy, of in copies.items() if of == body)]
+        whole, share = bodies[body], 1.0 / len(names)
+        for name in names:
+            shared[name] = replace(whole, name=name, mass=share * whole.mass, inertia=share * whole.inertia)
+    return shared
 
 
 def checked(root: Element) -> int:
