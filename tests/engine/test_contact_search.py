@@ -292,12 +292,13 @@ ROOM = 200  # contacts of a world
 
 
 def crowd(count):
-    """Return a model of bodies of four kinds, and states in which each touches some of the others."""
+    """Return a model of bodies of four kinds on a slope, and states in which each touches some others."""
     bodies = "".join(
         f'<body><freejoint/><geom type="{kind}" size="{SHAPES[kind]}" margin="{MARGIN / 2}"/></body>'
         for kind in CROWD
     )
-    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    slope = '<geom type="plane" size="1 1 1" pos="0.3 -0.2 -0.02" zaxis="0.1 0.2 1"/>'
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{slope}{bodies}</worldbody></mujoco>")
     rng = np.random.default_rng(4)
     qpos = rng.standard_normal((count, len(CROWD), 7))
     qpos[..., :3] = rng.uniform(-0.035, 0.035, (count, len(CROWD), 3))

@@ -2,7 +2,7 @@
 // what V is).
 namespace lanes {
 
-enum { SPHERE = 2, CAPSULE, ELLIPSOID, CYLINDER };  // mjtGeom
+enum { PLANE, SPHERE = 2, CAPSULE, ELLIPSOID, CYLINDER };  // mjtGeom
 constexpr int MAX_STEPS = 10;
 constexpr float CONVERGED = 1e-3f, LONGEST_STEP = 0.5f;  // rad; the next error is the square
 constexpr float LEAST_CURVATURE = 1e-3f;                 // of the ellipsoid's reach
@@ -167,9 +167,12 @@ template <class V, class Shapes, class Near> void filter_block(Block<V>& block, 
         if (!any(mask))
             continue;
         Vec3<V> n = p;
+        const bool is_solid = two.kind >= SPHERE && two.kind <= CYLINDER;
         if (reports)
             n = unit(p);
-        else if (one.kind >= SPHERE && two.kind <= CYLINDER)
+        else if (one.kind == PLANE && is_solid)  // it has one n, and may be long
+            mask = mask & (dot(one.axis, p) - two.support(one.axis) <= limit + GUARD * root(dot(p, p)));
+        else if (one.kind >= SPHERE && is_solid)
             mask = not_apart(one, two, p, limit, mask, n, kept[i]);
         if (!any(mask))
             continue;
