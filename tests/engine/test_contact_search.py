@@ -287,12 +287,12 @@ def test_closed_forms_are_as_many_as_in_mujoco(kind):
     assert agreeing > 0.9 * NUM_STATES
 
 
-CROWD = ("sphere", "capsule", "ellipsoid", "cylinder") * 3
+CROWD = ("sphere", "capsule", "ellipsoid", "cylinder", "box") * 2
 ROOM = 200  # contacts of a world
 
 
 def crowd(count):
-    """Return a model of bodies of four kinds on a slope, and states in which each touches some others."""
+    """Return a model of bodies of five kinds on a slope, and states in which each touches some others."""
     bodies = "".join(
         f'<body><freejoint/><geom type="{kind}" size="{SHAPES[kind]}" margin="{MARGIN / 2}"/></body>'
         for kind in CROWD

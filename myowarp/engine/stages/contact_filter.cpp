@@ -2,7 +2,7 @@
 // what V is).
 namespace lanes {
 
-enum { PLANE, SPHERE = 2, CAPSULE, ELLIPSOID, CYLINDER };  // mjtGeom
+enum { PLANE, SPHERE = 2, CAPSULE, ELLIPSOID, CYLINDER, BOX };  // mjtGeom
 constexpr int MAX_STEPS = 10;
 constexpr float CONVERGED = 1e-3f, LONGEST_STEP = 0.5f;  // rad; the next error is the square
 constexpr float LEAST_CURVATURE = 1e-3f;                 // of the ellipsoid's reach
@@ -27,7 +27,7 @@ template <class V> INLINE Vec3<V> unit(Vec3<V> v) {
 INLINE int rank_of(int kind) { return kind == ELLIPSOID ? CYLINDER : kind == CYLINDER ? ELLIPSOID : kind; }
 template <class V> INLINE V clamped(V x, V most) { return larger(-most, smaller(x, most)); }
 
-// A sphere, capsule or cylinder around a segment, or an ellipsoid, whose segment is a point.
+// A sphere, capsule or cylinder around a segment, an ellipsoid, whose segment is a point, or a box.
 template <class V> struct Solid {
     int kind;
     Vec3<V> center;
@@ -35,7 +35,10 @@ template <class V> struct Solid {
     Vec3<V> axis;
     V half, radius;
     Stretch<V> e;
+    Vec3<V> edges[3];  // halves
     V support(Vec3<V> n) const {
+        if (kind == BOX)
+            return absolute(dot(n, edges[0])) + absolute(dot(n, edges[1])) + absolute(dot(n, edges[2]));
         if (kind == ELLIPSOID)
             return root(larger(dot(n, mul(e, n)), splat<V>(TINY)));
         const V along = dot(axis, n), edge = half * absolute(along);
@@ -89,6 +92,10 @@ INLINE M not_apart(const Solid<V>& one, const Solid<V>& two, Vec3<V> p, V limit,
         return mask;
     M busy = mask;  // others stay as they are: no world's bits depend on another's
     may_touch(unit(p));
+    for (int k = 0; k < (two.kind == BOX ? 3 : 0); ++k)  // across its faces
+        may_touch(unit(select(dot(two.edges[k], p) < zero, -unity, unity) * two.edges[k]));
+    if (two.kind == BOX)
+        return mask;
     if (two.kind != ELLIPSOID) {  // between the closest points of their segments
         const V cosine = dot(one.axis, two.axis), first = dot(one.axis, p), second = dot(two.axis, p);
         const V sine = larger(1.0f - cosine * cosine, splat<V>(1e-6f));
@@ -140,6 +147,9 @@ template <class V, class Shapes> const Solid<V>* solids_of(Block<V>& block, Shap
         solid.margin = margin[g] + gap[g];
         if (kind == ELLIPSOID)
             solid.e = stretch(frame[g], extent);
+        const V sizes[3] = {extent.x, extent.y, extent.z};
+        for (int k = 0; k < (kind == BOX ? 3 : 0); ++k)
+            solid.edges[k] = sizes[k] * Vec3<V>{frame[g].m[0][k], frame[g].m[1][k], frame[g].m[2][k]};
     }
     return solids;
 }
@@ -167,7 +177,7 @@ template <class V, class Shapes, class Near> void filter_block(Block<V>& block, 
         if (!any(mask))
             continue;
         Vec3<V> n = p;
-        const bool is_solid = two.kind >= SPHERE && two.kind <= CYLINDER;
+        const bool is_solid = two.kind >= SPHERE && two.kind <= BOX;
         if (reports)
             n = unit(p);
         else if (one.kind == PLANE && is_solid)  // it has one n, and may be long

@@ -2,10 +2,10 @@
 
 A pair is the same in every world. For every unit n the separation f(n) of two convex bodies (see
 `separation`) is at most their distance: one n with f(n) beyond the cutoff proves them apart. Tried are the
-line between the centers, the one between the closest points of two segments and, against an ellipsoid, steps
-of Newton's method. Before them comes the n that was tried last, a physics step ago, which is enough for most.
-The pairs left over are few, and `contact_search_kernel` finds their contacts, so that those do not depend on
-what is tried here.
+best n of a physics step ago, which is enough for most, the line between the centers, the one between the
+closest points of two segments, the normals of a box or a plane, and steps of Newton's method against an
+ellipsoid. The pairs left over are few, and `contact_search_kernel` finds their contacts, so that those do not
+depend on what is tried here.
 """
 
 from pathlib import Path
@@ -19,7 +19,7 @@ from myowarp.engine.stepped import Stepped
 from myowarp.kernels.lanes import WIDEST, at_namespace_level, block_scratch
 from myowarp.kernels.launch import launch
 
-SOLID = 17
+SOLID = 26
 """Numbers of a `Solid` of contact_filter.cpp."""
 
 

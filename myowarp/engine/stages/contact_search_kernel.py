@@ -94,7 +94,7 @@ class NearPairs:
         num: Of each world.
         pairs: Numbers of the pairs.
         normals: About where f of a pair with an ellipsoid is largest.
-        kept: The n tried last for every pair, a block of worlds after the other, worlds in lanes.
+        kept: The best n tried for every pair, a block of worlds after the other, worlds in lanes.
     """
 
     num: wp.array[int]
