@@ -192,9 +192,9 @@ for (int i = ne; i < wp::min(ne + nf, num_rows); ++i) {
 // diagonal, which nothing reads: `factorize` clears it before a row of L is used.
 lanes H[WIDTH][BLOCKS], L[WIDTH][BLOCKS];
 lanes inverse_pivot[BLOCKS] = {};
-auto copy = [&](lanes (*to)[BLOCKS], lanes (*from)[BLOCKS]) {
-    for (int i = 0; i < n; ++i)
-        for (int k = 0; k < blocks_up_to(i); ++k)
+auto copy = [](lanes (*to)[BLOCKS], lanes (*from)[BLOCKS]) {
+    for (int i = 0; i < WIDTH; ++i)
+        for (int k = 0; k < BLOCKS; ++k)
             to[i][k] = from[i][k];
 };
 auto add_row_to_H = [&](int i, float weight) {
