@@ -357,6 +357,8 @@ template <> struct Block<Lanes> : Gathering<Lanes, Block<Lanes>> {
 };
 #endif
 
+INLINE float* aligned(float* memory) { return (float*)(((unsigned long long)memory + 63) & ~63ull); }
+
 // Not inlined: with lanes beside it, a world alone would pay for their stack (a quarter of an elbow's step).
 template <class B, class Step> static __attribute__((noinline)) void run(B& block, Step& step) {
     step(block);
@@ -365,7 +367,7 @@ template <class B, class Step> static __attribute__((noinline)) void run(B& bloc
 // Call `step` for blocks of worlds in a mask, or of all if it is null. Lanes cost as much as one to two
 // worlds alone: fewer go alone.
 template <class Step> INLINE void for_blocks(int num_worlds, const bool* mask, float* scratch, Step step) {
-    scratch = (float*)(((unsigned long long)scratch + 63) & ~63ull);
+    scratch = aligned(scratch);
     for (int world = 0; world < num_worlds;) {
         int count = 0;
         while (count < MYOWARP_LANES && world + count < num_worlds && (!mask || mask[world + count]))

@@ -78,17 +78,22 @@ def states(kind, spread):
     return model, np.hstack([center, quat / np.linalg.norm(quat, axis=1)[:, None]])
 
 
-def collided(model, qpos, room, ours=True, growth=0.0):
-    """Return the engine's data with its contacts or ours; bodies grow from world to world."""
+def collided(model, qpos, room, ours=True, growth=0.0, before=()):
+    """Return the engine's data with its contacts or ours; bodies grow from world to world.
+
+    `before`: configurations in which contacts are searched first.
+    """
     device = mjw.put_model(model, batch_sizes={"geom_size": len(qpos), "geom_margin": len(qpos)})
     for field in (device.geom_size, device.geom_margin):
         scale = 1.0 + growth * np.arange(len(qpos)) / len(qpos)
         field.assign(field.numpy() * scale.reshape(-1, *[1] * (field.numpy().ndim - 1)))
     data = mjw.make_data(model, nworld=len(qpos), nconmax=room)
-    data.qpos.assign(qpos)
-    mjw.kinematics(device, data)
     scene = SimpleNamespace(model=device, data=data, oracle=model, ground=None, device=wp.get_device("cpu"))
-    launch_place(scene, "collision", [ContactSearch(scene)] if ours else [])
+    stages = [ContactSearch(scene)] if ours else []
+    for configurations in (*before, qpos):
+        data.qpos.assign(configurations)
+        mjw.kinematics(device, data)
+        launch_place(scene, "collision", stages)
     return data
 
 
@@ -282,17 +287,18 @@ def test_closed_forms_are_as_many_as_in_mujoco(kind):
     assert agreeing > 0.9 * NUM_STATES
 
 
-CROWD = ("sphere", "capsule", "ellipsoid", "cylinder") * 3
+CROWD = ("sphere", "capsule", "ellipsoid", "cylinder", "box") * 2
 ROOM = 200  # contacts of a world
 
 
 def crowd(count):
-    """Return a model of bodies of four kinds, and states in which each touches some of the others."""
+    """Return a model of bodies of five kinds on a slope, and states in which each touches some others."""
     bodies = "".join(
         f'<body><freejoint/><geom type="{kind}" size="{SHAPES[kind]}" margin="{MARGIN / 2}"/></body>'
         for kind in CROWD
     )
-    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    slope = '<geom type="plane" size="1 1 1" pos="0.3 -0.2 -0.02" zaxis="0.1 0.2 1"/>'
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{slope}{bodies}</worldbody></mujoco>")
     rng = np.random.default_rng(4)
     qpos = rng.standard_normal((count, len(CROWD), 7))
     qpos[..., :3] = rng.uniform(-0.035, 0.035, (count, len(CROWD), 3))
@@ -330,6 +336,26 @@ def test_pairs_left_out_are_apart(monkeypatch):
     np.testing.assert_array_equal(listed[False][:, :3], listed[True][:, :3])
     np.testing.assert_allclose(listed[False][:, 3:], listed[True][:, 3:], atol=NORMAL_TOLERANCE)
     assert len(listed[True]) > 10 * count
+
+
+def test_what_was_tried_before_hides_no_contact():
+    """Contacts are those of a first search, bit for bit, after others elsewhere, of broken worlds, too."""
+    model, qpos = crowd(21)
+    broken, shaken = qpos.copy(), qpos.copy()
+    broken[::3] = np.nan
+    shaken[..., ::7] += 1e-3
+    first, later = (
+        collided(model, qpos, ROOM),
+        collided(model, qpos, ROOM, before=(qpos[::-1], broken, shaken)),
+    )
+    number = first.nacon.numpy()[0]
+    for name in ("dist", "pos", "frame", "geom", "worldid"):
+        contacts = (
+            getattr(first.contact, name).numpy()[:number],
+            getattr(later.contact, name).numpy()[:number],
+        )
+        np.testing.assert_array_equal(*contacts)
+    assert later.nacon.numpy()[0] == number > 10 * len(qpos)
 
 
 def test_lists_do_not_depend_on_lanes():

@@ -2,9 +2,10 @@
 
 A pair is the same in every world. For every unit n the separation f(n) of two convex bodies (see
 `separation`) is at most their distance: one n with f(n) beyond the cutoff proves them apart. Tried are the
-line between the centers, the one between the closest points of two segments and, against an ellipsoid, steps
-of Newton's method. The pairs left over are few, and `contact_search_kernel` finds their contacts, so that
-those do not depend on what is tried here.
+best n of a physics step ago, which is enough for most, the line between the centers, the one between the
+closest points of two segments, the normals of a box or a plane, and steps of Newton's method against an
+ellipsoid. The pairs left over are few, and `contact_search_kernel` finds their contacts, so that those do not
+depend on what is tried here.
 """
 
 from pathlib import Path
@@ -15,10 +16,10 @@ import warp as wp
 from myowarp.engine.stages.arrays import filled
 from myowarp.engine.stages.contact_search_kernel import NearPairs, Shapes
 from myowarp.engine.stepped import Stepped
-from myowarp.kernels.lanes import at_namespace_level, block_scratch
+from myowarp.kernels.lanes import WIDEST, at_namespace_level, block_scratch
 from myowarp.kernels.launch import launch
 
-SOLID = 15
+SOLID = 26
 """Numbers of a `Solid` of contact_filter.cpp."""
 
 
@@ -63,6 +64,9 @@ class ContactFilter:
         self.near.num = wp.zeros(data.nworld, dtype=int, device=stepped.device)
         self.near.pairs = wp.zeros((data.nworld, num_pairs), dtype=int, device=stepped.device)
         self.near.normals = wp.zeros((data.nworld, num_pairs), dtype=wp.vec3, device=stepped.device)
+        blocks = -(-data.nworld // WIDEST)
+        self.near.kept = block_scratch(stepped.device, 3 * num_pairs * blocks)
+        self.near.kept.zero_()
         self._scratch = block_scratch(stepped.device, shapes, solids)
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:

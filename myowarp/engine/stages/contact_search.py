@@ -40,7 +40,9 @@ class ContactSearch(Stage):
     REPLACES = ("collision",)
     TOLERANCE = 1e-2  # the engine's own normals of deep contacts are off by as much
     OBSTACLES: ClassVar = {
-        "no sphere, capsule or ellipsoid can touch another": lambda stepped: _kinds(stepped).isdisjoint(OURS),
+        "nothing that can touch has a closed form": lambda stepped: _kinds(stepped).isdisjoint(
+            {*OURS, *CLOSED_FORMS}
+        ),
         "the engine does not compare all pairs": lambda stepped: (
             stepped.model.opt.broadphase != BroadphaseType.NXN
         ),

@@ -94,11 +94,13 @@ class NearPairs:
         num: Of each world.
         pairs: Numbers of the pairs.
         normals: About where f of a pair with an ellipsoid is largest.
+        kept: The best n tried for every pair, a block of worlds after the other, worlds in lanes.
     """
 
     num: wp.array[int]
     pairs: wp.array2d[int]
     normals: wp.array2d[wp.vec3]
+    kept: wp.array[float]
 
 
 @wp.struct
@@ -278,24 +280,6 @@ def touch_with_ellipsoid(one: Geom, two: Geom, cutoff: float, start: wp.vec3) ->
 
 
 @wp.func
-def add_candidate(pair: Pair, type1: int, type2: int, naconmax: int, candidates: Candidates):
-    """Put a pair on the engine's list."""
-    _add_geom_pair(
-        naconmax,
-        pair.geoms[0],
-        pair.geoms[1],
-        type1,
-        type2,
-        pair.worldid,
-        pair.pairid,
-        candidates.ncollision,
-        candidates.collision_pair,
-        candidates.collision_pairid,
-        candidates.collision_worldid,
-    )
-
-
-@wp.func
 def boxes_meet(one: Geom, two: Geom, cutoff: float) -> bool:
     """Return whether two geoms may be less than `cutoff` apart."""
     pos1, pos2, rotation1, rotation2 = one.pos, two.pos, one.rotation, two.rotation
@@ -389,4 +373,16 @@ def find_contacts(
             if is_whole:
                 write_touch(touch, pair, material, 0, naconmax_in, contact_out)
                 continue
-        add_candidate(pair, one.type, two.type, naconmax_in, candidates)
+        _add_geom_pair(
+            naconmax_in,
+            a,
+            b,
+            one.type,
+            two.type,
+            worldid,
+            pair.pairid,
+            candidates.ncollision,
+            candidates.collision_pair,
+            candidates.collision_pairid,
+            candidates.collision_worldid,
+        )

@@ -1,11 +1,12 @@
-// Body of the native function `solve_world` (contact_solve.py, which explains the method), after
-// contact_frame.cpp; WIDTH and the overflow bits are defined before it. Degrees of freedom are padded to
-// WIDTH, rows to whole vectors.
+// Body of the loop over worlds of the native function `solve_worlds` (contact_solve.py, which explains the
+// method), after contact_frame.cpp; WIDTH and the overflow bits are defined before it. Degrees of freedom are
+// padded to WIDTH, rows to whole vectors.
 
+if (memory.solved.data[world])
+    continue;
 #pragma clang diagnostic ignored "-Wvla-cxx-extension"
 #pragma clang diagnostic ignored "-Wpsabi"  // 512 bits on AVX2 are two registers, and no call leaves the file
 typedef float lanes __attribute__((ext_vector_type(8)));
-typedef float loose_lanes __attribute__((ext_vector_type(8), aligned(4)));
 typedef float half __attribute__((ext_vector_type(4)));
 typedef float loose_half __attribute__((ext_vector_type(4), aligned(4)));
 typedef int numbers __attribute__((ext_vector_type(8)));
@@ -66,7 +67,10 @@ auto add_three = [](lanes* to, half factors, const lanes (*rows)[BLOCKS], int bl
 };
 auto blocks_up_to = [](int column) { return column / 8 + 1; };
 
-const int n = qfrc_smooth.shape[0];
+const float *M = &wp::index(M_in, world, 0), *qfrc_smooth = &wp::index(qfrc_smooth_in, world, 0);
+const float* qacc_warmstart = &wp::index(qacc_warmstart_in, world, 0);
+float *qacc = &wp::index(qacc_out, world, 0), *qfrc_constraint = &wp::index(qfrc_constraint_out, world, 0);
+const int n = qacc_out.shape[1];
 const int ne = counts.ne[world], nf = counts.nf[world];
 const int num_rows = wp::min(counts.nefc[world], rows.aref.shape[1]);
 const int row_blocks = (num_rows + 7) / 8;
@@ -131,15 +135,7 @@ for (int i = 0; i < num_plain; ++i) {
         for (int k = begin; k < end; ++k)
             at(J[i], wp::index(rows.J_colind, world, 0, k)) = wp::index(rows.J, world, 0, k);
     } else {
-        const float* from = &wp::index(rows.J, world, i, 0);
-        for (int k = 0; k < n / 8; ++k)
-            J[i][k] = *(const loose_lanes*)(from + 8 * k);
-        if (n % 8) {
-            J[i][BLOCKS - 1].lo = *(const loose_half*)(from + n / 8 * 8);
-            if (n % 8 > 4)
-                J[i][BLOCKS - 1].hi = *(const loose_half*)(from + n / 8 * 8 + 4);
-            J[i][BLOCKS - 1] = lane_number < (float)(n % 8) ? J[i][BLOCKS - 1] : (lanes)0.0f;
-        }
+        memcpy(J[i], &wp::index(rows.J, world, i, 0), n * sizeof(float));
     }
 }
 for (int row = num_plain, first = num_plain; row < num_rows;) {
@@ -319,50 +315,50 @@ auto update_gradient = [&]() __attribute__((noinline)) {
     return wp::sqrt(dot(gradient, gradient));
 };
 
-// The cost along x + step search: its slope and curvature, and how much it falls from step 0.
+// The cost along x + step search, but for a constant; rows from block `one_sided` on, limits and contacts,
+// only pull below zero.
+struct Cost { double value, slope, curvature; };
 double smooth_slope, smooth_curvature;
-auto probe = [&](double step, double& slope, double& curvature) __attribute__((noinline)) {
-    wide slopes = 0.0, curvatures = 0.0;
+const int one_sided = (ne + nf + 7) / 8;
+auto cost_at = [&](double step) __attribute__((noinline)) {
+    wide values = 0.0, slopes = 0.0, curvatures = 0.0;
     for (int b = 0; b < row_blocks; ++b) {
-        const wide v = widen(change[b]), d = widen(D[b]), most = widen(loss[b]);
-        const wide r = widen(residual[b]) + step * v;
-        const auto below = r <= widen(low[b]), above = r >= widen(high[b]);
-        slopes -= v * (below ? most : (above ? -most : -d * r));
-        curvatures += (below | above) ? (wide)0.0 : v * v * d;
+        const wide v = widen(change[b]), d = widen(D[b]), r = widen(residual[b]) + step * v;
+        wide pull = 0.0, value = 0.0;
+        auto outside = r >= 0.0;
+        if (b < one_sided) {
+            const wide lowest = widen(low[b]), highest = widen(high[b]), most = widen(loss[b]);
+            const auto below = r <= lowest;
+            outside = below | (r >= highest);
+            pull = below ? most : -most;
+            value = most * (below ? 0.5 * lowest - r : r - 0.5 * highest);
+        }
+        values += outside ? value : 0.5 * d * r * r;
+        slopes -= v * (outside ? pull : -d * r);
+        curvatures += outside ? (wide)0.0 : v * v * d;
     }
-    slope = smooth_slope + step * smooth_curvature + sum(slopes);
-    curvature = smooth_curvature + sum(curvatures);
-};
-auto row_cost = [&](int b, double step) {
-    const wide d = widen(D[b]), most = widen(loss[b]), lowest = widen(low[b]), highest = widen(high[b]);
-    const wide r = widen(residual[b]) + step * widen(change[b]);
-    const wide above = most * (r - 0.5 * highest), below = most * (0.5 * lowest - r);
-    return r <= lowest ? below : (r >= highest ? above : 0.5 * d * r * r);
-};
-auto improvement = [&](double step) __attribute__((noinline)) {
-    wide falls = 0.0;
-    for (int b = 0; b < row_blocks; ++b)
-        falls += row_cost(b, 0.0) - row_cost(b, step);
-    return sum(falls) - step * (smooth_slope + 0.5 * step * smooth_curvature);
+    return Cost{step * (smooth_slope + 0.5 * step * smooth_curvature) + sum(values),
+                smooth_slope + step * smooth_curvature + sum(slopes), smooth_curvature + sum(curvatures)};
 };
 const float tolerance = options.tolerance[world % options.tolerance.shape[0]];
 auto below_tolerance = [&](float value) { return !(scale * value >= tolerance); };  // NaN: nothing to gain
 
 // Root of the slope, which rises and is piecewise linear: Newton's method, halving where it leaves the
 // bracket. NaN passes through, so that a broken world is seen to be broken.
-auto find_step = [&]() __attribute__((noinline)) {
-    double slope, curvature, low_step = 0.0, high_step = INF;
-    probe(0.0, slope, curvature);
-    if (slope >= 0.0)
+auto find_step = [&](float& gain) __attribute__((noinline)) {
+    const Cost start = cost_at(0.0);
+    gain = 0.0f;
+    if (start.slope >= 0.0)
         return 0.0;
-    const double enough = wp::max(1e-9 * -slope, 1e-6 * tolerance / scale);  // above the rounding of the slope
-    double step = -slope / curvature;
+    const double enough = wp::max(1e-9 * -start.slope, 1e-6 * tolerance / scale);  // above its rounding
+    double step = -start.slope / start.curvature, low_step = 0.0, high_step = INF;
     for (int i = 0; i < options.ls_iterations; ++i) {
-        probe(step, slope, curvature);
-        if (!(slope > enough || slope < -enough))
+        const Cost cost = cost_at(step);
+        gain = start.value - cost.value;
+        if (!(cost.slope > enough || cost.slope < -enough))
             return step;
-        (slope < 0.0 ? low_step : high_step) = step;
-        const double next = step - slope / curvature;
+        (cost.slope < 0.0 ? low_step : high_step) = step;
+        const double next = step - cost.slope / cost.curvature;
         step = next > low_step && next < high_step ? next : 0.5 * (low_step + high_step);
     }
     result.overflow[world] |= LINE_SEARCH_OVERFLOW;
@@ -395,8 +391,8 @@ while (true) {
     smooth_curvature = sum(curvatures);
 
     // Part: line searches
-    const double step = find_step();
-    const float gain = improvement(step);
+    float gain;
+    const double step = find_step(gain);
     add(x, step, search);
     add(Mx, step, Ms);
     for (int b = 0; b < row_blocks; ++b)

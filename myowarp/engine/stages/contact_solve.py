@@ -105,67 +105,57 @@ def declare_solve_limits(thread: int):
     ...
 
 
-@wp.func_native("""
-    const int n = qacc.shape[1];
+LIMITS_ALONE = """{
+    const int n = qacc_out.shape[1];
     auto* of_worlds = (lanes::Limit*)memory.limits.data;
     for (int world = 0; world < memory.solved.shape[0]; ++world)
         memory.solved.data[world] = lanes::has_limits_only(counts, rows, world, n, of_worlds + world * n);
-    lanes::for_blocks(qacc.shape[0], memory.solved.data, memory.scratch.data, [&](auto& block) {
-        lanes::solve_limits_block(block, inertia, options, M, qfrc_smooth, qacc_warmstart, of_worlds, rows,
-                                  qacc, qfrc_constraint, result);
+    lanes::for_blocks(qacc_out.shape[0], memory.solved.data, memory.scratch.data, [&](auto& block) {
+        lanes::solve_limits_block(block, inertia, options, M_in, qfrc_smooth_in, qacc_warmstart_in, of_worlds,
+                                  rows, qacc_out, qfrc_constraint_out, result);
     });
-""")
-def solve_limits(
-    memory: InLanes,
-    inertia: InertiaRows,
-    options: SolverOptions,
-    M: wp.array2d[float],
-    qfrc_smooth: wp.array2d[float],
-    qacc_warmstart: wp.array2d[float],
-    counts: RowCounts,
-    rows: ConstraintRows,
-    qacc: wp.array2d[float],
-    qfrc_constraint: wp.array2d[float],
-    result: SolverResult,
-):
-    """Solve the worlds whose rows couple no dofs, a block after the other, and note which."""
-    ...
+}
+"""
+"""Solves the worlds whose rows couple no dofs, a block after the other, and notes which."""
 
 
 @cache
 def native_solve(width: int) -> Any:
-    """Return the native function for at most `width` degrees of freedom, a multiple of VECTOR."""
+    """Return the native function for at most `width` degrees of freedom, a multiple of VECTOR.
+
+    It walks through the worlds by itself: a call for each would copy its arguments, which takes long.
+    """
     constants = {"WIDTH": width, **FLAGS}
 
     @wp.func_native(
         "".join(f"constexpr int {name} = {value};\n" for name, value in constants.items())
+        + LIMITS_ALONE
         + "auto &tree = moving.tree; auto &contacts = moving.contacts;\n"
         + "auto &subtree_com = moving.subtree_com; auto &cdof = moving.cdof;\n"
-        + FRAME
-        + SOURCE
+        + f"{FRAME}for (int world = 0; world < memory.solved.shape[0]; ++world) {{\n{SOURCE}}}\n"
     )
-    def solve_world(
-        world: int,
+    def solve_worlds(
         inertia: InertiaRows,
         options: SolverOptions,
-        M: wp.array[float],
-        qfrc_smooth: wp.array[float],
-        qacc_warmstart: wp.array[float],
+        M_in: wp.array2d[float],
+        qfrc_smooth_in: wp.array2d[float],
+        qacc_warmstart_in: wp.array2d[float],
+        memory: InLanes,
         counts: RowCounts,
         rows: ConstraintRows,
         moving: MovingContacts,
-        qacc: wp.array[float],
-        qfrc_constraint: wp.array[float],
+        qacc_out: wp.array2d[float],
+        qfrc_constraint_out: wp.array2d[float],
         result: SolverResult,
     ): ...
 
-    return solve_world
+    return solve_worlds
 
 
 @cache
 def solver_kernel(width: int) -> Any:
     """Return the kernel `solve_constraints` for at most `width` degrees of freedom, a multiple of VECTOR."""
-    solve_world = native_solve(width)
+    solve_worlds = native_solve(width)
 
     @wp.kernel(module="unique", enable_backward=False)
     def solve_constraints(
@@ -190,35 +180,20 @@ def solver_kernel(width: int) -> Any:
         """M qacc = qfrc_smooth + J' force, force = -s'(J qacc - aref)."""
         thread = wp.tid()
         declare_solve_limits(thread)
-        solve_limits(
-            memory,
+        solve_worlds(
             inertia,
             options,
             M_in,
             qfrc_smooth_in,
             qacc_warmstart_in,
+            memory,
             counts,
             rows,
+            moving,
             qacc_out,
             qfrc_constraint_out,
             result,
         )
-        for worldid in range(memory.solved.shape[0]):
-            if not memory.solved[worldid]:
-                solve_world(
-                    worldid,
-                    inertia,
-                    options,
-                    M_in[worldid],
-                    qfrc_smooth_in[worldid],
-                    qacc_warmstart_in[worldid],
-                    counts,
-                    rows,
-                    moving,
-                    qacc_out[worldid],
-                    qfrc_constraint_out[worldid],
-                    result,
-                )
 
     return solve_constraints
 
