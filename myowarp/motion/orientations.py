@@ -18,7 +18,7 @@ import numpy as np
 
 from myowarp.motion.headers import Header
 from myowarp.motion.setup_words import file_of
-from myowarp.motion.storage import Rows
+from myowarp.motion.storage import Rows, rows_between
 from myowarp.osim.body.scale_document import Document
 from myowarp.osim.document.kinematics import about, complete, forward
 from myowarp.osim.document.model import GROUND, Model
@@ -54,12 +54,7 @@ class Orientations:
         Raises:
             ValueError: There is none.
         """
-        kept = (self.time >= start - 1e-9) & (self.time <= end + 1e-9)
-        if not kept.any():
-            raise ValueError(
-                f"no frame between {start:g} and {end:g} s; the orientations are from {self.time[0]:g} to "
-                f"{self.time[-1]:g} s"
-            )
+        kept = rows_between(self.time, start, end, "orientations are")
         return Orientations(self.names, self.time[kept], self.rotations[kept])
 
 

@@ -18,8 +18,10 @@ from typing import Any
 
 import numpy as np
 
+from myowarp.disk import make_folder
 from myowarp.motion.inverse_kinematics import Fitted, inverse_kinematics
 from myowarp.motion.markers import Markers, read_trc
+from myowarp.motion.movement import write_angles
 from myowarp.motion.setup_words import Span, body_of, file_of, span_of
 from myowarp.motion.tasks import Tasks, tasks_of
 from myowarp.osim.body.scale_document import Document, scale_document, set_markers
@@ -84,7 +86,7 @@ class Scaled:
     """A model that became a person's.
 
     Attributes:
-        document: The model, which `write` writes.
+        document: The model.
         factors: By body, shape (3,).
         measured: By measurement: its factor, and for each pair the names, distance in the model and in the
             recording [m].
@@ -99,6 +101,30 @@ class Scaled:
     pose: Fitted | None
     moved: dict[str, float]
     unknown: tuple[str, ...]
+
+    def write(self, folder: Path) -> None:
+        """Write `scaled.osim`, `scale_factors.xml`, OpenSim's `ScaleSet`, and, posed, `static.mot`.
+
+        Raises:
+            ValueError: The folder cannot be made.
+            OSError: A file cannot be written.
+        """
+        make_folder(folder)
+        write(folder / "scaled.osim", self.document.root)
+        path = folder / "scale_factors.xml"
+        root = Element(path, "OpenSimDocument", {"Version": "40000"}, 1)
+        objects = Element(path, "objects", {}, 1)
+        for name, scales in self.factors.items():
+            one = Element(path, "Scale", {}, 1)
+            one.put_numbers("scales", scales)
+            one.put("segment", name)
+            one.put("apply", "true")
+            objects.children.append(one)
+        root.children.append(Element(path, "ScaleSet", {"name": "factors"}, 1, children=[objects]))
+        write(path, root)
+        if (pose := self.pose) is not None:
+            model = self.document.model
+            write_angles(folder / "static.mot", model, pose.coordinates, pose.time, pose.values)
 
 
 def read_setup(path: Path) -> Setup:
@@ -311,21 +337,3 @@ def place_markers(
         )
         own.put_numbers("location", place)
     return Document(document.model.source, document.root), pose, moved
-
-
-def write_factors(path: Path, factors: Mapping[str, np.ndarray]) -> None:
-    """Write factors as OpenSim's `ScaleSet`.
-
-    Raises:
-        OSError: The file cannot be written.
-    """
-    root = Element(path, "OpenSimDocument", {"Version": "40000"}, 1)
-    objects = Element(path, "objects", {}, 1)
-    for name, scales in factors.items():
-        one = Element(path, "Scale", {}, 1)
-        one.put_numbers("scales", scales)
-        one.put("segment", name)
-        one.put("apply", "true")
-        objects.children.append(one)
-    root.children.append(Element(path, "ScaleSet", {"name": "factors"}, 1, children=[objects]))
-    write(path, root)

@@ -11,8 +11,8 @@ import csv
 import itertools
 import logging
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -20,7 +20,7 @@ from typing import IO, NoReturn, Self
 
 import numpy as np
 
-from myowarp.disk import in_place, naming
+from myowarp.disk import in_place, naming, write_rows
 from myowarp.motion.headers import Header, header_of, pair_of, whole_number
 from myowarp.osim.document.read.element import MAX_NUMBER, decoded, number_of
 
@@ -70,6 +70,7 @@ class Tables:
         self._open: dict[str, IO[str]] = {}
         self._left: dict[str, int] = {}
         self._removed: set[str] = set()
+        self._rows: dict[str, Sequence[Sequence[str]]] = {}
 
     def write(self, file: str, title: str, table: Storage, total: int | None = None) -> None:
         """Write a `.sto` or `.mot` file, or the next part of one.
@@ -100,6 +101,10 @@ class Tables:
             np.savetxt(self._open[file], numbers, fmt="%.9g", delimiter="\t")
             self._open[file].flush()
 
+    def write_rows(self, file: str, rows: Sequence[Sequence[str]]) -> None:
+        """Write a `.csv` file of words, in place of the one of the parts before."""
+        self._rows[file] = rows
+
     def remove(self, file: str) -> None:
         """Let a file of an earlier result go, when the others take their places."""
         self._removed.add(file)
@@ -119,18 +124,10 @@ class Tables:
                     raise RuntimeError(
                         f"{str(self.folder / file)!r} must have {left} rows more; write all parts"
                     )
+            for file, rows in self._rows.items():
+                write_rows(self.folder / file, rows)
         for file in self._removed:
             (self.folder / file).unlink(missing_ok=True)
-
-
-@contextmanager
-def tables_in(output: Path | Tables) -> Iterator[Tables]:
-    """Give the tables of a folder, or those that are open already, which stay open."""
-    if isinstance(output, Tables):
-        yield output
-        return
-    with Tables(output) as tables:
-        yield tables
 
 
 def write_storage(path: Path, title: str, table: Storage) -> None:
@@ -450,6 +447,25 @@ def in_order(path: Path, what: str, table: np.ndarray) -> np.ndarray:
     if late := int((np.diff(time) < 0.0).sum()):
         logger.warning("%s: %ss are not in the order of their times, in %d places; sorted", path, what, late)
     return table[order]
+
+
+def within(time: np.ndarray, start: float, end: float) -> np.ndarray:
+    """Return which times are from `start` to `end` [s], both included."""
+    return np.asarray((time >= start - 1e-9) & (time <= end + 1e-9))
+
+
+def rows_between(time: np.ndarray, start: float, end: float, whose: str) -> np.ndarray:
+    """Return what `within` does; `whose` times they are, and its verb, is for the error.
+
+    Raises:
+        ValueError: There is none.
+    """
+    kept = within(time, start, end)
+    if not kept.any():
+        raise ValueError(
+            f"no frame between {start:g} and {end:g} s; the {whose} from {time[0]:g} to {time[-1]:g} s"
+        )
+    return kept
 
 
 def check_apart(path: Path, what: str, time: np.ndarray, number: np.ndarray) -> None:

@@ -8,8 +8,9 @@ from typing import Annotated, Literal
 
 import tyro
 
-from myowarp.apps.cli.motion.steps import OUT, Output, check_results, say_saved
-from myowarp.apps.cli.options import Overwrite, described, optional
+from myowarp.apps.cli.motion import options as of
+from myowarp.apps.cli.motion.steps import check_results, say_saved
+from myowarp.apps.cli.options import described, optional
 from myowarp.disk import make_folder
 
 FILES = "markers.trc", "grf.mot", "grf.xml", "analog.sto"
@@ -29,8 +30,8 @@ class C3d:
     """Body on which each force plate acts, for grf.xml, OpenSim's file of external loads."""
     names: Annotated[tuple[str, ...], optional("[OLD=NEW ...]")] = ()
     """New names of markers and channels, such as the muscle of an electromyogram."""
-    output: Output = OUT
-    overwrite: Overwrite = False
+    output: of.Output = of.OUT
+    overwrite: of.Overwrite = False
 
     def __call__(self) -> None:
         """Check, read, write."""

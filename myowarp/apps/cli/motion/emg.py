@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from myowarp.apps.cli.motion.steps import OUT, SHOWN, Model, Output, check_results, needed, say_saved
-from myowarp.apps.cli.options import Overwrite, optional
+from myowarp.apps.cli.motion import options as of
+from myowarp.apps.cli.motion.said import SHOWN
+from myowarp.apps.cli.motion.steps import check_results, needed, say_saved
+from myowarp.apps.cli.options import optional
 from myowarp.disk import write_rows
 
 FILES = "emg.sto", "emg_agreement.csv", "emg.png"
@@ -20,11 +22,11 @@ class Emg:
     Example: myowarp motion emg gait.osim --emg emg.csv -o out/trial
     """
 
-    model: Model
+    model: of.Model
     emg: Annotated[Path | None, optional("FILE")] = None
     """Raw electromyograms over time, .sto, .mot or .csv."""
-    output: Output = OUT
-    overwrite: Overwrite = False
+    output: of.Output = of.OUT
+    overwrite: of.Overwrite = False
 
     def __call__(self) -> None:
         """Check, compare, write."""

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-from myowarp.apps.cli.motion.steps import OUT, Model, Output, check_results, needed, say_saved
-from myowarp.apps.cli.options import Overwrite, optional
+from myowarp.apps.cli.motion import options as of
+from myowarp.apps.cli.motion.steps import check_results, needed, say_saved
+from myowarp.apps.cli.options import optional
 from myowarp.disk import make_folder
 
 FILES = ("placed.osim",)
@@ -20,14 +21,14 @@ class Place:
     Example: myowarp motion place gait.osim --setup placer.xml
     """
 
-    model: Model
+    model: of.Model
     orientations: Annotated[Path | None, optional("FILE")] = None
     """Orientations of sensors, .sto of quaternions; by default those that the set-up file names. The sensor
     femur_r_imu is on the body femur_r."""
     setup: Annotated[Path | None, optional("FILE")] = None
     """Set-up file of OpenSim's IMUPlacer: axes of the sensors' world, base sensor and its heading."""
-    output: Output = OUT
-    overwrite: Overwrite = False
+    output: of.Output = of.OUT
+    overwrite: of.Overwrite = False
 
     def __call__(self) -> None:
         """Check, place, write."""
