@@ -62,7 +62,7 @@ class Plate:
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class C3dRecording:
     """Content of a C3D file, in OpenSim's axes.
 
     Attributes:
@@ -82,7 +82,7 @@ class Recording:
     skipped: tuple[str, ...]
 
 
-def read_c3d(path: Path, up: str | None = None, names: Mapping[str, str] | None = None) -> Recording:
+def read_c3d(path: Path, up: str | None = None, names: Mapping[str, str] | None = None) -> C3dRecording:
     """Read a C3D file.
 
     Args:
@@ -137,15 +137,11 @@ def read_c3d(path: Path, up: str | None = None, names: Mapping[str, str] | None 
                 number,
                 pull,
             )
-    return Recording(markers, time, turned, channels, units, skipped)
+    return C3dRecording(markers, time, turned, channels, units, skipped)
 
 
 def _probe(path: Path) -> None:
-    """Read the file in another process, which ezc3d ends at some damaged files.
-
-    Raises:
-        ValueError: It did, or did not come to an end.
-    """
+    """Read the file in another process, which ezc3d ends at some damaged files."""
     command = [sys.executable, "-c", PROBE, str(path)]
     try:
         code = subprocess.run(command, capture_output=True, timeout=PATIENCE, check=False).returncode
@@ -180,11 +176,7 @@ def _labels(file: Any, group: str, count: int) -> list[str]:
 
 
 def _scale(path: Path, unit: str) -> float:
-    """Return the metres of a unit.
-
-    Raises:
-        ValueError: It is unknown.
-    """
+    """Return the metres of a unit."""
     if unit.strip().lower() not in UNITS:
         raise ValueError(f"{str(path)!r} has the unit {unit!r}; known are {', '.join(UNITS)}")
     return UNITS[unit.strip().lower()]
@@ -198,11 +190,7 @@ def _vertical(file: Any) -> str:
 
 
 def _markers(path: Path, file: Any, axes: np.ndarray, called: Any) -> tuple[Markers | None, tuple[str, ...]]:
-    """Return markers, and the points that are none.
-
-    Raises:
-        ValueError: The unit is unknown, or the rate is none.
-    """
+    """Return markers, and the points that are none."""
     points = np.asarray(file["data"]["points"])[:3]
     labels = _labels(file, "POINT", points.shape[1])
     derived = {str(label).strip() for name in DERIVED for label in (_value(file, "POINT", name) or [])}
@@ -246,11 +234,7 @@ def _count(file: Any) -> int:
 
 
 def _plates(file: Any, ezc3d: Any) -> list[Plate]:
-    """Return the force plates in the laboratory's axes.
-
-    Raises:
-        RuntimeError: One is of a type that is not read, or a parameter is wrong.
-    """
+    """Return the force plates in the laboratory's axes."""
     if not _count(file):
         return []
     read = ezc3d.ezc3d.ForcePlatforms(file.c3d_swig).forcePlatforms()
@@ -258,11 +242,7 @@ def _plates(file: Any, ezc3d: Any) -> list[Plate]:
 
 
 def _plate(read: Any) -> Plate:
-    """Return a force plate in the laboratory's axes.
-
-    Raises:
-        RuntimeError: Its units are unknown.
-    """
+    """Return a force plate in the laboratory's axes."""
     length = UNITS.get(read.positionUnit().strip().lower())
     if length is None or read.forceUnit().strip() not in ("N", ""):
         raise RuntimeError(f"a force plate has the units {read.forceUnit()!r} and {read.positionUnit()!r}")
@@ -274,7 +254,7 @@ def _plate(read: Any) -> Plate:
     return Plate(rows(read.forces()), length * rows(read.moments()), length * point, length * corners)
 
 
-def write_recording(output: Path, recording: Recording, bodies: Sequence[str] = ()) -> tuple[str, ...]:
+def write_recording(output: Path, recording: C3dRecording, bodies: Sequence[str] = ()) -> tuple[str, ...]:
     """Write `markers.trc`, `grf.mot`, `grf.xml` and `analog.sto`, as far as there is anything; return which.
 
     Args:
@@ -307,7 +287,7 @@ def write_recording(output: Path, recording: Recording, bodies: Sequence[str] = 
     return tuple(written)
 
 
-def ground_forces(recording: Recording) -> Storage:
+def ground_forces(recording: C3dRecording) -> Storage:
     """Return force, point and moment of each plate, under OpenSim's usual names, `ground_force_1_vx`."""
     labels: list[str] = []
     columns: list[np.ndarray] = []

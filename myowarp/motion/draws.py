@@ -231,11 +231,7 @@ def draw_trial(recording: Recording, uncertain: Uncertainty, draws: Sequence[int
 
 
 def _fitted(recording: Recording, uncertain: Uncertainty, draws: Sequence[int], seed: int) -> Fitted:
-    """Return the joint angles of draws, each frame from where the trial itself has it.
-
-    Raises:
-        ValueError: The trial has no markers.
-    """
+    """Return the joint angles of draws, each frame from where the trial itself has it."""
     markers = recording.markers
     if markers is None:
         raise ValueError("noise and weights of markers need markers; this trial is a file of joint angles")

@@ -513,11 +513,7 @@ def inverse_kinematics(
 
 
 def _checked(bones: Bones, recorded: Markers, marker_weights: Mapping[str, float] | None) -> dict[str, float]:
-    """Return the weights that are above 0, by marker; by default 1 for all that model and recording share.
-
-    Raises:
-        ValueError: A marker is unknown, a weight is negative, or none is positive.
-    """
+    """Return the weights that are above 0, by marker; by default 1 for all that model and recording share."""
     model = bones.model
     shared = [name for name in recorded.names if name in model.markers]
     weights = dict.fromkeys(shared, 1.0) if marker_weights is None else dict(marker_weights)
@@ -618,37 +614,36 @@ def _run(
     bones: Bones, targets: Targets, first: np.ndarray, frames: int, stride: int, out: Mapping[str, Any]
 ) -> None:
     """Solve `frames` frames in each world from its first frame on."""
+    bodies, free = len(bones.bodies) - 1, len(bones.coordinates)
 
     def solve(part: slice) -> None:
+        heads, normal = first[part], Normal()
+        worlds = len(heads)
         with wp.ScopedDevice(bones.device):
-            _launch(bones, targets, first[part], frames, stride, out)
+            for name, shape, kind in (
+                ("weight", (worlds, bodies), wp.float64),
+                ("first", (worlds, bodies), wp.vec3d),
+                ("second", (worlds, bodies), wp.mat33d),
+                ("force", (worlds, bodies), wp.vec3d),
+                ("torque", (worlds, bodies), wp.vec3d),
+                ("matrix", (worlds, free, free), wp.float64),
+                ("factor", (worlds, free, free), wp.float64),
+                ("slope", (worlds, free), wp.float64),
+                ("step", (worlds, free), wp.float64),
+                ("old", (worlds, free), wp.float64),
+            ):
+                setattr(normal, name, wp.zeros(shape, dtype=kind))
+            launch(
+                solve_inverse_kinematics,
+                worlds,
+                skeleton=bones.skeleton,
+                targets=targets,
+                first=wp.array(heads, dtype=int),
+                frames=frames,
+                stride=stride,
+                placement=bones.placement(worlds),
+                normal=normal,
+                **out,
+            )
 
     in_parts(len(first), len(first), solve)
-
-
-def _launch(
-    bones: Bones, targets: Targets, first: np.ndarray, frames: int, stride: int, out: Mapping[str, Any]
-) -> None:
-    """Solve `frames` frames in each world of a part."""
-    worlds, bodies, free = len(first), len(bones.bodies) - 1, len(bones.coordinates)
-    normal = Normal()
-    for name, kind in (("weight", wp.float64), ("first", wp.vec3d), ("second", wp.mat33d)):
-        setattr(normal, name, wp.zeros((worlds, bodies), dtype=kind))
-    for name in ("force", "torque"):
-        setattr(normal, name, wp.zeros((worlds, bodies), dtype=wp.vec3d))
-    for name in ("matrix", "factor"):
-        setattr(normal, name, wp.zeros((worlds, free, free), dtype=wp.float64))
-    for name in ("slope", "step", "old"):
-        setattr(normal, name, wp.zeros((worlds, free), dtype=wp.float64))
-    launch(
-        solve_inverse_kinematics,
-        worlds,
-        skeleton=bones.skeleton,
-        targets=targets,
-        first=wp.array(first, dtype=int),
-        frames=frames,
-        stride=stride,
-        placement=bones.placement(worlds),
-        normal=normal,
-        **out,
-    )

@@ -83,11 +83,7 @@ def read_motion(path: Path, bones: Bones, cutoff: float | None = None) -> Moveme
 
 
 def _moved(angles: Angles, table: Storage, bones: Bones, cutoff: float | None) -> Movement:
-    """Return the motion of a table.
-
-    Raises:
-        ValueError: It has no coordinate of the model, is too short, or its unit is in doubt.
-    """
+    """Return the motion of a table."""
     if table.title in NO_MOTION:
         raise ValueError(
             f"{str(angles.path)!r} calls itself {table.title!r}; a motion holds coordinates, as OpenSim's "

@@ -214,11 +214,7 @@ def _base(model: Model) -> str:
 
 
 def _heading(model: Model, recorded: Orientations, placing: Placing, forwards: np.ndarray) -> float:
-    """Return the angle about the vertical from a sensor's axis to the x axis of the model's base [rad].
-
-    Raises:
-        ValueError: The sensor or its axis is unknown.
-    """
+    """Return the angle about the vertical from a sensor's axis to the x axis of the model's base [rad]."""
     axis = placing.heading.lower()
     if axis.lstrip("-+") not in AXES or len(axis) > 2:
         raise ValueError(f"the heading axis must be x, y or z, with a sign, got {placing.heading!r}")

@@ -49,7 +49,7 @@ class Measurement:
 
 
 @dataclass(frozen=True)
-class Setup:
+class ScaleSetup:
     """Contents of a set-up file of `ScaleTool`.
 
     Attributes:
@@ -127,7 +127,7 @@ class Scaled:
             write_angles(folder / "static.mot", model, pose.coordinates, pose.time, pose.values)
 
 
-def read_setup(path: Path) -> Setup:
+def read_setup(path: Path) -> ScaleSetup:
     """Read a set-up file of `ScaleTool`; files that it names are beside it.
 
     Raises:
@@ -154,7 +154,7 @@ def read_setup(path: Path) -> Setup:
     }
     if bad := [name for name, scales in manual.items() if (scales <= 0.0).any()]:
         raise scaler.error(f"must have factors above 0, got {manual[bad[0]]} for {bad[0]!r}")
-    return Setup(
+    return ScaleSetup(
         model=file_of(maker, "model_file"),
         markers=file_of(maker, "marker_set_file"),
         mass=mass if mass > 0.0 else None,
@@ -177,11 +177,7 @@ def _on(element: Element, empty: Element) -> bool:
 
 
 def _measurement(element: Element) -> Measurement:
-    """Return a measurement.
-
-    Raises:
-        ValueError: A pair has not two markers, or an axis is none.
-    """
+    """Return a measurement."""
     pairs = []
     for pair in element.objects("MarkerPairSet"):
         names = pair.string("markers").split()
@@ -242,7 +238,7 @@ def measure(model: Model, recorded: Markers, measurement: Measurement) -> Measur
     return float(np.mean([row[3] / row[2] for row in rows])), tuple(rows)
 
 
-def scale(source: Path, setup: Setup, static: Path | None = None, device: Any = "cpu") -> Scaled:
+def scale(source: Path, setup: ScaleSetup, static: Path | None = None, device: Any = "cpu") -> Scaled:
     """Scale a generic model to a person.
 
     Args:

@@ -7,7 +7,7 @@ a part of it from `moved_in_parts` where the motion is too long for memory.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -59,9 +59,7 @@ def kinematics(bones: Bones, setup: TrialSetup) -> JointAngles:
         ValueError: A file is missing or not what it should be, or the model has no frame of a sensor.
         OSError: A file cannot be read.
     """
-    if setup.orientations is not None:
-        return kinematics_of_sensors(bones, setup)
-    return next(_angles(bones, setup, [(*read_markers(setup), None)]))
+    return next(_angles(bones, setup, whole=True))
 
 
 def kinematics_in_parts(bones: Bones, setup: TrialSetup) -> Iterator[JointAngles]:
@@ -70,50 +68,35 @@ def kinematics_in_parts(bones: Bones, setup: TrialSetup) -> Iterator[JointAngles
     Raises:
         As `kinematics`.
     """
+    return _angles(bones, setup, whole=False)
+
+
+def _angles(bones: Bones, setup: TrialSetup, whole: bool) -> Iterator[JointAngles]:
     if setup.orientations is not None:
-        return iter([kinematics_of_sensors(bones, setup)])
-    return _angles(bones, setup, _marker_parts(setup))
-
-
-def _angles(
-    bones: Bones, setup: TrialSetup, parts: Iterable[tuple[Markers, Markers, int | None]]
-) -> Iterator[JointAngles]:
-    gaps, start = Gaps(), None
-    for seen, recorded, total in parts:
+        yield kinematics_of_sensors(bones, setup)
+        return
+    held, gaps, start = _held(bones, setup), Gaps(), None
+    for seen, recorded, total in _marker_parts(setup, whole):
         gaps = gaps.after(seen, recorded)
-        wanted = targets(bones, setup, recorded)
+        wanted = _targets(bones, setup, held, recorded)
         fitted = inverse_kinematics(bones, recorded, **wanted, start=start)
         start = dict(zip(fitted.coordinates, fitted.values[-1], strict=True))
         yield JointAngles(bones, fitted, recorded, wanted, gaps, total)
 
 
-def read_markers(setup: TrialSetup) -> tuple[Markers, Markers]:
-    """Return the markers of a set-up in its times: as they were seen, and with gaps filled.
-
-    Raises:
-        ValueError: The file is not what it should be, or there is no frame in the times.
-        OSError: It cannot be read.
-    """
-    seen = read_trc(setup.recording)
-    recorded = seen if setup.fill is None else seen.filled(setup.fill)
-    if setup.span is not None:
-        seen, recorded = seen.between(*setup.span), recorded.between(*setup.span)
-    return seen, recorded
-
-
-def _marker_parts(setup: TrialSetup) -> Iterator[tuple[Markers, Markers, int | None]]:
-    """Yield the markers of a file in parts: as they were seen, with gaps filled, and the frames of all.
-
-    Raises:
-        As `read_markers`.
-    """
-    path, fill = setup.recording, setup.fill
-    if not is_long(path):
-        yield *read_markers(setup), None
+def _marker_parts(setup: TrialSetup, whole: bool) -> Iterator[tuple[Markers, Markers, int | None]]:
+    """Yield the markers of a file in parts: as they were seen, with gaps filled, and the frames of all."""
+    path, span, fill = setup.recording, setup.span, setup.fill
+    if whole or not is_long(path):
+        seen = read_trc(path)
+        recorded = seen if fill is None else seen.filled(fill)
+        if span is not None:
+            seen, recorded = seen.between(*span), recorded.between(*span)
+        yield seen, recorded, None
         return
-    begin, end = setup.span or (-np.inf, np.inf)
+    begin, end = span or (-np.inf, np.inf)
     with MarkerStream(path) as stream:
-        total = stream.count(setup.span)
+        total = stream.count(span)
         for table, own in stream.parts(Margin(seconds=2.0 * (fill or 0.0))):
             seen = stream.placed(table)
             recorded = seen if fill is None else seen.filled(fill)
@@ -122,53 +105,45 @@ def _marker_parts(setup: TrialSetup) -> Iterator[tuple[Markers, Markers, int | N
                 yield seen.between(*inside), recorded.between(*inside), total
 
 
-def targets(bones: Bones, setup: TrialSetup, recorded: Markers) -> dict[str, Any]:
-    """Return what a set-up has a pose fit, as `inverse_kinematics` takes it: weights, and wanted values.
-
-    Raises:
-        ValueError: The set-up file has no weights, or lacks the values of a coordinate.
-        OSError: The file of the values cannot be read.
-    """
-    tasks = setup.tasks
+def _held(bones: Bones, setup: TrialSetup) -> Movement | None:
+    """Return the joint angles that coordinates of a set-up should have; None: they have none of a file."""
+    tasks, path = setup.tasks, setup.coordinates
     if tasks is None and setup.file is not None:
         raise ValueError(
             f"{str(setup.file)!r} has no <IKMarkerTask>; a set-up file of inverse kinematics or scaling has"
         )
+    if tasks is None or not tasks.recorded:
+        return None
+    if path is None:
+        raise ValueError(
+            f"{str(setup.file)!r} has coordinates whose values are in a file, and names no <coordinate_file>"
+        )
+    held = read_motion(path, bones)
+    unknown = [name for name in tasks.recorded if name in held.absent or name not in bones.coordinates]
+    if unknown:
+        raise ValueError(f"{str(path)!r} has no column of the coordinate {unknown[0]!r}")
+    return held
+
+
+def _targets(bones: Bones, setup: TrialSetup, held: Movement | None, recorded: Markers) -> dict[str, Any]:
+    """Return what a pose fits, as `inverse_kinematics` takes it: weights, and wanted values."""
+    tasks, time = setup.tasks, recorded.time
     if tasks is None:
         return {}
     values: dict[str, float | np.ndarray] = {**tasks.values}
-    if tasks.recorded:
-        values |= _recorded(bones, setup, tasks.recorded, recorded.time)
+    if held is not None:
+        if time[0] < held.time[0] - 1e-6 or time[-1] > held.time[-1] + 1e-6:
+            raise ValueError(
+                f"{str(setup.coordinates)!r} is from {held.time[0]:g} to {held.time[-1]:g} s; the markers "
+                f"are from {time[0]:g} to {time[-1]:g} s"
+            )
+        for name in tasks.recorded:
+            values[name] = np.interp(time, held.time, held.values[:, bones.coordinates.index(name)])
     return {
         "marker_weights": tasks.among(recorded.names),
         "coordinate_weights": tasks.coordinates,
         "coordinate_values": values,
     }
-
-
-def _recorded(
-    bones: Bones, setup: TrialSetup, names: Iterable[str], time: np.ndarray
-) -> dict[str, np.ndarray]:
-    """Return the values that coordinates have in the file of joint angles of a set-up.
-
-    Raises:
-        ValueError: The set-up file names none, or the file lacks a coordinate or the time.
-    """
-    path = setup.coordinates
-    if path is None:
-        raise ValueError(
-            f"{str(setup.file)!r} has coordinates whose values are in a file, and names no <coordinate_file>"
-        )
-    motion = read_motion(path, bones)
-    if unknown := [name for name in names if name in motion.absent or name not in bones.coordinates]:
-        raise ValueError(f"{str(path)!r} has no column of the coordinate {unknown[0]!r}")
-    if time[0] < motion.time[0] - 1e-6 or time[-1] > motion.time[-1] + 1e-6:
-        raise ValueError(
-            f"{str(path)!r} is from {motion.time[0]:g} to {motion.time[-1]:g} s; the markers are from "
-            f"{time[0]:g} to {time[-1]:g} s"
-        )
-    columns = {name: motion.values[:, bones.coordinates.index(name)] for name in names}
-    return {name: np.interp(time, motion.time, column) for name, column in columns.items()}
 
 
 def kinematics_of_sensors(bones: Bones, setup: TrialSetup) -> JointAngles:

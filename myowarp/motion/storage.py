@@ -213,22 +213,14 @@ class Rows:
         self._read = 0
 
     def _text(self, lines: Sequence[str]) -> list[str]:
-        """Return lines as text, UTF-8 or else Latin-1, as models are read.
-
-        Raises:
-            ValueError: They are none.
-        """
+        """Return lines as text, UTF-8 or else Latin-1, as models are read."""
         whole = "".join(lines)
         if "\0" in whole:
             raise ValueError(f"{str(self.path)!r} is no text file in UTF-8 or Latin-1")
         return decoded(whole.encode("ascii", "surrogateescape"))[0].split("\n")
 
     def _head(self) -> Header:
-        """Read the lines before the rows.
-
-        Raises:
-            ValueError: They are not what they should be.
-        """
+        """Read the lines before the rows."""
         lines, ended = [], self._csv
         while not ended and (line := self._file.readline()):
             lines.append(line)
@@ -253,21 +245,13 @@ class Rows:
         return header
 
     def _once(self, what: str, names: Sequence[str]) -> None:
-        """Check that names differ.
-
-        Raises:
-            ValueError: They do not.
-        """
+        """Check that names differ."""
         if len(set(names)) < len(names):
             twice = next(name for name in names if names.count(name) > 1)
             raise ValueError(f"{str(self.path)!r} has the {what} {twice!r} twice")
 
     def _compare(self, name: str, stated: str, there: int, what: str, refused: bool) -> None:
-        """Refuse a count of the header that does not match, or say so where OpenSim does not go by it.
-
-        Raises:
-            ValueError: It is refused.
-        """
+        """Refuse a count of the header that does not match, or say so where OpenSim does not go by it."""
         if not stated or whole_number(stated) == there:
             return
         text = f"{str(self.path)!r} says {name}={stated} and has {there} {what}"
@@ -276,11 +260,7 @@ class Rows:
         logger.warning("%s", text)
 
     def _cells(self, line: str, count: int = 0) -> list[str]:
-        """Return the cells of a line, at least so many where that many are there.
-
-        Raises:
-            ValueError: It is no line of comma-separated values.
-        """
+        """Return the cells of a line, at least so many where that many are there."""
         if self._csv:
             try:
                 cells = next(csv.reader([line]), [])
@@ -298,11 +278,7 @@ class Rows:
         return cells
 
     def _numbers(self, lines: list[str]) -> np.ndarray:
-        """Return time and values of some lines.
-
-        Raises:
-            ValueError: A line has not one number for each column.
-        """
+        """Return time and values of some lines."""
         try:
             if self._csv:
                 lines = [line.rstrip().removesuffix("," * self._spare) or "," for line in lines]
@@ -316,11 +292,7 @@ class Rows:
         return table
 
     def _explain(self, lines: Sequence[str]) -> NoReturn:
-        """Say what is wrong with the first of some lines that is no row of numbers.
-
-        Raises:
-            ValueError: Always.
-        """
+        """Say what is wrong with the first of some lines that is no row of numbers."""
         labels = ("time", *self.header.labels)
         for number, line in enumerate(lines, self._read + 1):
             cells, where = self._cells(line, len(labels)), f"{self.WHAT} {number} of {str(self.path)!r}"
@@ -332,11 +304,7 @@ class Rows:
         raise ValueError(f"{self.WHAT}s from {self._read + 1} on of {str(self.path)!r} are no numbers")
 
     def _check_cells(self, number: int, cells: Sequence[str]) -> None:
-        """Check that the cells of the row of a number are numbers, or empty.
-
-        Raises:
-            ValueError: One is neither.
-        """
+        """Check that the cells of the row of a number are numbers, or empty."""
         for label, cell in zip(("time", *self.header.labels), cells, strict=False):
             try:
                 number_of(cell or "0")
@@ -348,11 +316,7 @@ class Rows:
                 ) from None
 
     def _within(self, table: np.ndarray) -> None:
-        """Check that numbers are finite, and that squares of them are.
-
-        Raises:
-            ValueError: One is not.
-        """
+        """Check that numbers are finite, and that squares of them are."""
         right = np.abs(table) < MAX_NUMBER
         if self._gaps and not right.all():
             right[:, 1:] |= np.isnan(table[:, 1:])
@@ -382,11 +346,7 @@ class Rows:
         return table
 
     def _ended(self, count: int) -> None:
-        """Compare the number of rows with what the header says, once.
-
-        Raises:
-            ValueError: It is another one, and OpenSim goes by it.
-        """
+        """Compare the number of rows with what the header says, once."""
         if not self._counted:
             self._counted = True
             self._compare(self.COUNT, self.header.rows, count, f"{self.WHAT}s", refused=self.header.counts)

@@ -104,11 +104,7 @@ class Stream(Rows):
         return inside
 
     def _more(self, count: int) -> None:
-        """Read up to so many more rows.
-
-        Raises:
-            ValueError: A row is not what it should be, or a time is not after the one before.
-        """
+        """Read up to so many more rows."""
         rows = self.read(count)
         self._whole = not len(rows)
         time = np.concatenate([self._rows[-1:, 0], rows[:, 0]])

@@ -191,6 +191,7 @@ def test_help_of_a_step_is_its_own(run, monkeypatch, name):
         ("forces", ("--emg", "none.sto"), "emg"),
         ("forces", ("--ray",), "study"),
         ("dynamics", ("--reserve", "1"), "forces"),
+        ("emg", ("--reserve", "3"), "forces"),
         ("analyze", ("--loads", "none.xml"), "forces"),
         ("study", ("--span", "0", "1"), "forces"),
         ("study", ("--residual", "3"), "forces"),

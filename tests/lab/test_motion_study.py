@@ -184,6 +184,7 @@ def test_a_study(table, capsys):
         ({"mass": "1e308"}, r"column 'mass': needs a number below 1e.15 in size, got '1e.*308'"),
         ({"filter": "inf"}, r"column 'filter': needs a number, got 'inf'"),
         ({"markers": "x.trc"}, "needs one of markers"),
+        ({"fill": 0.1}, r"row 1 .*, column 'fill': is of markers; leave it empty beside joint angles"),
         ({"model": None}, "column 'model': needs an .osim file, got nothing"),
         ({"trial": "../one"}, "a name has letters"),
         ({"trial": 300 * "x"}, "a name has letters, .*, and at most 200 bytes"),
@@ -213,6 +214,7 @@ def test_bad_tables_are_one_sentence(table, change, message):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
+        ({"seed": 3}, "--seed is of draws; give their number with --draws"),
         ({"exponent": float("nan")}, "--exponent must be at least 1 and finite, got nan"),
         ({"reserve": float("inf")}, "--reserve must be at least 0 and finite, got inf"),
         (

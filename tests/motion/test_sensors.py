@@ -149,6 +149,13 @@ def test_what_cannot_be_placed_or_followed():
         kinematics_of_sensors(Bones(document.model), TrialSetup())
 
 
+@pytest.mark.parametrize("option", ["fill", "marker_set"])
+def test_options_of_markers_are_refused(tmp_path, option):
+    message = f"--{option.replace('_', '-')} is of markers; leave it out where sensors are followed"
+    with pytest.raises(ValueError, match=message):
+        Kinematics(MODEL, orientations=WALK, output=tmp_path, **{option: 0.1})()
+
+
 def test_wrong_files_of_quaternions(tmp_path):
     """Read with orthonormal axes, or refused in one sentence that names the file."""
     text, read = "".join(WALK.read_text().splitlines(keepends=True)[:12]), 0

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Sequence
 from pathlib import Path
 
 from myowarp.apps.reports.panel import COLORS, grid, save, style
-from myowarp.motion.emg import Agreement
-from myowarp.motion.storage import Storage
+from myowarp.motion.emg import Comparison
 
 COLUMNS = 4
 
 
-def draw_emg(path: Path, envelope: Storage, activation: Storage, found: Sequence[Agreement]) -> None:
+def draw_emg(path: Path, compared: Comparison) -> None:
     """Draw envelopes, later by the delay of each muscle, and activations, where matplotlib is installed.
 
     Raises:
@@ -21,6 +19,7 @@ def draw_emg(path: Path, envelope: Storage, activation: Storage, found: Sequence
     """
     if importlib.util.find_spec("matplotlib") is None:
         return
+    envelope, activation, found = compared.envelope, compared.activation, compared.found
     columns = min(COLUMNS, len(found))
     with style():
         figure, panels = grid(len(found), columns, 2.8 * columns, 1.8, 0.5, sharex=True, sharey=True)

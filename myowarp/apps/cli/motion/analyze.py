@@ -14,21 +14,11 @@ FILES = (
 
 
 @dataclass
-class Analyze:
+class Analyze(of.Along):
     """Follow muscles along a motion: lengths, velocities, moment arms, greatest forces; and a page on them.
 
     Example: myowarp motion analyze gait.osim --motion ik.mot
     """
-
-    model: of.Model
-    motion: of.Motion = None
-    setup: of.ToolFile = None
-    function_paths: of.FunctionPaths = None
-    contact: of.Contact = None
-    filter: of.Filter = None
-    span: of.Span = None
-    output: of.Output = of.OUT
-    overwrite: of.Overwrite = False
 
     def __call__(self) -> None:
         """Check, solve, write."""

@@ -11,22 +11,13 @@ FILES = "moments.sto", "passive_moments.sto", "contact_forces.sto"
 
 
 @dataclass
-class Dynamics:
+class Dynamics(of.Along):
     """Find the joint moments of a motion under external loads.
 
     Example: myowarp motion dynamics gait.osim --motion ik.mot --loads grf.xml --filter 6
     """
 
-    model: of.Model
-    motion: of.Motion = None
-    setup: of.ToolFile = None
-    function_paths: of.FunctionPaths = None
     loads: of.Loads = None
-    contact: of.Contact = None
-    filter: of.Filter = None
-    span: of.Span = None
-    output: of.Output = of.OUT
-    overwrite: of.Overwrite = False
 
     def __call__(self) -> None:
         """Check, solve, write."""

@@ -17,7 +17,7 @@ FILES = (
 
 
 @dataclass
-class Forces:
+class Forces(of.Along):
     """Find the forces of muscles that give a motion's moments, at the least sum of activations to a power.
 
     Where muscles cannot give them, a reserve of --reserve N m on every coordinate helps; what is missing is
@@ -26,20 +26,11 @@ class Forces:
     Example: myowarp motion forces gait.osim --motion ik.mot --loads grf.xml --filter 6 --reserve 10
     """
 
-    model: of.Model
-    motion: of.Motion = None
-    setup: of.ToolFile = None
-    function_paths: of.FunctionPaths = None
     loads: of.Loads = None
-    contact: of.Contact = None
-    filter: of.Filter = None
     mode: of.Mode = "equilibrium"
     exponent: of.Exponent = None
     reserve: of.Reserve = None
     residual: of.Residual = None
-    span: of.Span = None
-    output: of.Output = of.OUT
-    overwrite: of.Overwrite = False
 
     def __call__(self) -> None:
         """Check, solve, write."""

@@ -1,7 +1,8 @@
-"""Options that several steps of `myowarp motion` have, each described once; a field names one as its type."""
+"""Options that several steps of `myowarp motion` have, each described once; fields name them as types."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -69,3 +70,18 @@ Residual = Annotated[
     ),
 ]
 Output = Annotated[Path, tyro.conf.arg(aliases=["-o"], help="Folder for the result.")]
+
+
+@dataclass
+class Along:
+    """Options of every step along a motion."""
+
+    model: Model
+    motion: Motion = None
+    setup: ToolFile = None
+    function_paths: FunctionPaths = None
+    contact: Contact = None
+    filter: Filter = None
+    span: Span = None
+    output: Output = OUT
+    overwrite: Overwrite = False

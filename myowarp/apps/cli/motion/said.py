@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from myowarp.motion.emg import Comparison
     from myowarp.motion.results import Gaps, JointAngles, MotionForces, TrackedMotion
     from myowarp.motion.scaling import Scaled
     from myowarp.osim.body.skeleton import Bones
@@ -62,6 +63,12 @@ def of_sensors(parts: Iterable[JointAngles]) -> list[str]:
     (found,) = parts
     return [f"{name}: {np.degrees(rms):.1f} degrees rms, {np.degrees(most):.1f} degrees at most"
             for name, rms, most in found.fitted.worst()[:SHOWN]]  # fmt: skip
+
+
+def of_emg(compared: Comparison) -> list[str]:
+    """Return how alike activations and electromyograms are, the least alike first."""
+    return [f"{one.muscle}: correlation {one.correlation:.2f} at a delay of {1e3 * one.delay:.0f} ms"
+            for one in compared.found[:SHOWN]]  # fmt: skip
 
 
 def _unit(bones: Bones, number: int) -> str:

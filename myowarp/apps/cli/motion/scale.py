@@ -33,8 +33,12 @@ class Scale:
         """Check, scale, write."""
         from myowarp.motion.scaling import read_setup, scale
 
-        setup = needed(self.setup, "scale", "setup")
+        setup = read_setup(needed(self.setup, "scale", "setup"))
+        if self.markers is not None and "measurements" not in setup.order and setup.tasks is None:
+            raise ValueError(
+                f"--markers measure or pose a person; {str(self.setup)!r} has neither, so leave them out"
+            )
         check_results(self.output, FILES, self.overwrite)
-        scaled = scale(self.model, read_setup(setup), self.markers)
+        scaled = scale(self.model, setup, self.markers)
         scaled.write(self.output)
         say_saved(of_scaling(scaled), FILES, self.output)

@@ -16,6 +16,7 @@ from myowarp.extras import to_install
 from myowarp.progress import patient_bar
 
 if TYPE_CHECKING:
+    from myowarp.apps.cli.motion.options import Along
     from myowarp.motion.movement import Movement
     from myowarp.motion.results import AlongMotion
     from myowarp.motion.setup import TrialSetup
@@ -108,7 +109,7 @@ def setup_of(command: Any, **more: Any) -> TrialSetup:
     return said.stating(**{name: stated[name] for name in names})
 
 
-def bones_of(command: Any, setup: TrialSetup) -> Bones:
+def bones_of(command: Along, setup: TrialSetup) -> Bones:
     """Return the model of a step along a motion as a set-up has it, and say what it leaves out.
 
     Raises:
@@ -129,7 +130,7 @@ def absent_from(motion: Movement) -> list[str]:
 
 
 def along(
-    command: Any,
+    command: Along,
     setup: TrialSetup,
     step: Step,
     files: Iterable[str],
@@ -194,7 +195,7 @@ def write_page(output: Path, model: Path, motion: Path | None) -> None:
         scratch.write_text(text, encoding="utf-8")
 
 
-def page_of(command: Any, motion: Path) -> list[str]:
+def page_of(command: Along, motion: Path) -> list[str]:
     """Write the page of a step along a motion, where it is short; return what is to be said.
 
     Raises:

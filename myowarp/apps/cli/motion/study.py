@@ -50,6 +50,8 @@ class Study:
         for name in ("address", "cpus"):
             if getattr(self, name) is not None and not self.ray:
                 raise ValueError(f"--{name} belongs to a cluster; give it with --ray")
+        if self.seed and not self.draws:
+            raise ValueError("--seed is of draws; give their number with --draws")
         cpus = 1 if self.cpus is None else self.cpus
         check_least(1, cpus=cpus)
         console = Console(stderr=True, highlight=False, soft_wrap=True)

@@ -18,7 +18,7 @@ FILES = (
 
 
 @dataclass
-class Track:
+class Track(of.Along):
     """Find excitations that make a simulation follow a motion under its loads, by computed muscle control.
 
     The last lines say how much --reserve, and --residual at the root, had to add.
@@ -27,13 +27,7 @@ class Track:
     soleus_r=0.9
     """
 
-    model: of.Model
-    motion: of.Motion = None
-    setup: of.ToolFile = None
-    function_paths: of.FunctionPaths = None
     loads: of.Loads = None
-    contact: of.Contact = None
-    filter: of.Filter = None
     reserve: of.Reserve = None
     residual: of.Residual = None
     strength: Annotated[tuple[str, ...], optional("[MUSCLE=FACTOR ...]")] = ()
@@ -41,9 +35,6 @@ class Track:
     gain: Annotated[tuple[str, ...], optional("[COORDINATE=GAIN ...]")] = ()
     """Ways back to the motion [1/s^2] of coordinates, such as mtp_angle_r=1600, in place of 100, or 1600
     where bodies are light."""
-    span: of.Span = None
-    output: of.Output = of.OUT
-    overwrite: of.Overwrite = False
 
     def __call__(self) -> None:
         """Check, simulate, write."""

@@ -216,11 +216,7 @@ def plan_study(table: Path, **settings: Any) -> Study:
 
 
 def _trial(folder: Path, header: list[str], row: list[Any], number: int) -> Trial:
-    """Return a row, checked.
-
-    Raises:
-        ValueError: An entry is wrong.
-    """
+    """Return a row, checked."""
     cells = {name: str(cell).strip() for name, cell in zip(header, row, strict=True)
              if cell is not None and str(cell).strip() not in ("", "nan", "<NA>")}  # fmt: skip
     name = cells.pop(TRIAL, str(number))
@@ -248,6 +244,9 @@ def _trial(folder: Path, header: list[str], row: list[Any], number: int) -> Tria
             )
     spread = {what: numbers.pop(column) for column, what in SPREADS.items() if column in numbers}
     own = {column: numbers.pop(column) for column in NUMBERS if column in numbers}
+    for column in ("marker_set", "fill"):
+        if "motion" in files and column in {**files, **own}:
+            raise ValueError(f"{where}, column {column!r}: is of markers; leave it empty beside joint angles")
     try:
         check_factors(numbers)
         return Trial(name, files, own, numbers, Uncertainty(**spread))

@@ -96,8 +96,9 @@ def run(
         failures: dict[str, str] = {}
         with progress_bar("Solving", "parts", console) as bar:
             task = bar.add_task("", total=len(every), completed=len(every) - len(missing))
-            how = _each if cluster is None else partial(_over, cluster)
-            for number, why in how(study, missing, output):
+            each_part: Callable[[Study, list[Piece], Path], Iterator[tuple[int, str]]]
+            each_part = _each if cluster is None else partial(_over, cluster)
+            for number, why in each_part(study, missing, output):
                 if why:
                     failures.setdefault(every[number].trial.name, why)
                 else:
