@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from myowarp.disk import in_place
+from myowarp.disk import in_place, make_folder
 from myowarp.extras import to_install
 from myowarp.motion.markers import UNITS, Markers, write_trc
 from myowarp.motion.storage import Storage, logger, write_storage
@@ -52,13 +52,11 @@ class Plate:
         force: On the person [N], shape (rows, 3).
         moment: On the person about `point` [N m], shape (rows, 3).
         point: Middle of its corners [m], shape (3,).
-        corners: [m], shape (4, 3).
     """
 
     force: np.ndarray
     moment: np.ndarray
     point: np.ndarray
-    corners: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +68,6 @@ class C3dRecording:
         time: Of plates and channels [s], shape (rows,).
         plates: In the order of the file.
         channels: Analog channels that are no plate's, in the file's units.
-        units: Of these.
         skipped: Points that are no markers, such as angles.
     """
 
@@ -78,8 +75,39 @@ class C3dRecording:
     time: np.ndarray
     plates: tuple[Plate, ...]
     channels: Storage | None
-    units: tuple[str, ...]
     skipped: tuple[str, ...]
+
+    def write(self, folder: Path, bodies: Sequence[str] = ()) -> tuple[str, ...]:
+        """Write `markers.trc`, `grf.mot`, `grf.xml`, `analog.sto`, as far as there is anything; return which.
+
+        Args:
+            folder: Folder, which is made.
+            bodies: On which each plate acts, in the order of plates; none: no `grf.xml` is written.
+
+        Raises:
+            ValueError: There are not as many bodies as plates.
+            OSError: A file cannot be written.
+        """
+        if bodies and len(bodies) != len(self.plates):
+            raise ValueError(
+                f"--plates must name one body for each of {len(self.plates)} force plates, got {len(bodies)}"
+            )
+        make_folder(folder)
+        written = []
+        if self.markers is not None:
+            write_trc(folder / "markers.trc", self.markers)
+            written.append("markers.trc")
+        if self.plates:
+            write_storage(folder / "grf.mot", "forces and moments of force plates", ground_forces(self))
+            written.append("grf.mot")
+        if bodies:
+            with in_place(folder / "grf.xml") as scratch:
+                scratch.write_text(_external_loads(bodies), encoding="utf-8")
+            written.append("grf.xml")
+        if self.channels is not None:
+            write_storage(folder / "analog.sto", "analog channels", self.channels)
+            written.append("analog.sto")
+        return tuple(written)
 
 
 def read_c3d(path: Path, up: str | None = None, names: Mapping[str, str] | None = None) -> C3dRecording:
@@ -119,15 +147,12 @@ def read_c3d(path: Path, up: str | None = None, names: Mapping[str, str] | None 
         return renamed.get(label, label)
 
     markers, skipped = _markers(path, file, axes, called)
-    time, channels, units = _channels(path, file, called)
+    time, channels = _channels(file, called)
     if missing := [name for name in renamed if name not in used]:
         raise ValueError(
             f"{str(path)!r} has no marker or channel {missing[0]!r}; available: {', '.join(sorted(used))}"
         )
-    turned = tuple(
-        Plate(one.force @ axes.T, one.moment @ axes.T, axes @ one.point, one.corners @ axes.T)
-        for one in plates
-    )
+    turned = tuple(Plate(one.force @ axes.T, one.moment @ axes.T, axes @ one.point) for one in plates)
     for number, plate in enumerate(turned, 1):
         loaded = np.abs(plate.force[:, 1]) > PULL
         if loaded.any() and (pull := -plate.force[loaded, 1].mean()) > PULL:
@@ -137,7 +162,7 @@ def read_c3d(path: Path, up: str | None = None, names: Mapping[str, str] | None 
                 number,
                 pull,
             )
-    return C3dRecording(markers, time, turned, channels, units, skipped)
+    return C3dRecording(markers, time, turned, channels, skipped)
 
 
 def _probe(path: Path) -> None:
@@ -209,22 +234,19 @@ def _markers(path: Path, file: Any, axes: np.ndarray, called: Any) -> tuple[Mark
     return Markers(names, np.arange(len(places)) / rate, places), skipped
 
 
-def _channels(path: Path, file: Any, called: Any) -> tuple[np.ndarray, Storage | None, tuple[str, ...]]:
-    """Return times of analog rows, and the channels that are no plate's with their units."""
+def _channels(file: Any, called: Any) -> tuple[np.ndarray, Storage | None]:
+    """Return times of analog rows, and the channels that are no plate's."""
     analogs = np.asarray(file["data"]["analogs"])[0]
     rate = float(file["header"]["analogs"]["frame_rate"])
     if not analogs.size or not 0.0 < rate < np.inf:
-        return np.zeros(0), None, ()
+        return np.zeros(0), None
     time = np.arange(analogs.shape[1]) / rate
     taken = np.ravel(_value(file, "FORCE_PLATFORM", "CHANNEL")) if _count(file) else np.zeros(0)
     kept = [k for k in range(len(analogs)) if k + 1 not in taken]
     if not kept:
-        return time, None, ()
+        return time, None
     labels = _labels(file, "ANALOG", len(analogs))
-    units = [str(unit).strip() for unit in (_value(file, "ANALOG", "UNITS") or [])]
-    units += [""] * (len(analogs) - len(units))
-    table = Storage(tuple(called(labels[k]) for k in kept), time, analogs[kept].T)
-    return time, table, tuple(units[k] for k in kept)
+    return time, Storage(tuple(called(labels[k]) for k in kept), time, analogs[kept].T)
 
 
 def _count(file: Any) -> int:
@@ -250,41 +272,8 @@ def _plate(read: Any) -> Plate:
     def rows(vectors: Any) -> np.ndarray:
         return np.array([np.ravel(one.to_array()) for one in vectors]).reshape(-1, 3)
 
-    point, corners = np.ravel(read.meanCorners().to_array()), rows(read.corners())
-    return Plate(rows(read.forces()), length * rows(read.moments()), length * point, length * corners)
-
-
-def write_recording(output: Path, recording: C3dRecording, bodies: Sequence[str] = ()) -> tuple[str, ...]:
-    """Write `markers.trc`, `grf.mot`, `grf.xml` and `analog.sto`, as far as there is anything; return which.
-
-    Args:
-        output: Folder, which exists.
-        recording: From `read_c3d`.
-        bodies: On which each plate acts, in the order of plates; none: no `grf.xml` is written.
-
-    Raises:
-        ValueError: There are not as many bodies as plates.
-        OSError: A file cannot be written.
-    """
-    written = []
-    if bodies and len(bodies) != len(recording.plates):
-        raise ValueError(
-            f"--plates must name one body for each of {len(recording.plates)} force plates, got {len(bodies)}"
-        )
-    if recording.markers is not None:
-        write_trc(output / "markers.trc", recording.markers)
-        written.append("markers.trc")
-    if recording.plates:
-        write_storage(output / "grf.mot", "forces and moments of force plates", ground_forces(recording))
-        written.append("grf.mot")
-    if bodies:
-        with in_place(output / "grf.xml") as scratch:
-            scratch.write_text(_external_loads(bodies), encoding="utf-8")
-        written.append("grf.xml")
-    if recording.channels is not None:
-        write_storage(output / "analog.sto", "analog channels", recording.channels)
-        written.append("analog.sto")
-    return tuple(written)
+    point = np.ravel(read.meanCorners().to_array())
+    return Plate(rows(read.forces()), length * rows(read.moments()), length * point)
 
 
 def ground_forces(recording: C3dRecording) -> Storage:

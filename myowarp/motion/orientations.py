@@ -16,13 +16,14 @@ from pathlib import Path
 
 import numpy as np
 
+from myowarp.disk import make_folder
 from myowarp.motion.headers import Header
 from myowarp.motion.setup_words import file_of
 from myowarp.motion.storage import Rows, rows_between
 from myowarp.osim.body.scale_document import Document
 from myowarp.osim.document.kinematics import about, complete, forward
 from myowarp.osim.document.model import GROUND, Model
-from myowarp.osim.document.read.element import Element, parse
+from myowarp.osim.document.read.element import Element, parse, write
 
 SUFFIX = "_imu"
 """Of a sensor's name, after that of its body."""
@@ -175,6 +176,15 @@ class Placed:
     sensors: Mapping[str, tuple[str, np.ndarray]] = field(default_factory=dict)
     heading: float = 0.0
     left: tuple[str, ...] = ()
+
+    def write(self, folder: Path) -> None:
+        """Write `placed.osim` into a folder, which is made.
+
+        Raises:
+            OSError: The file cannot be written.
+        """
+        make_folder(folder)
+        write(folder / "placed.osim", self.document.root)
 
 
 def place(document: Document, recorded: Orientations, placing: Placing) -> Placed:

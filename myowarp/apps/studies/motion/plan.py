@@ -18,7 +18,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
@@ -152,7 +152,6 @@ class Study:
     mode: Mode = "equilibrium"
     exponent: float | None = None
     reserve: float | None = None
-    columns: tuple[str, ...] = field(default=())
 
     def settings(self) -> dict[str, Any]:
         """Return what the results of all trials depend on."""
@@ -204,7 +203,7 @@ def plan_study(table: Path, **settings: Any) -> Study:
     name, often = Counter(trial.name for trial in trials).most_common(1)[0]
     if often > 1:
         raise ValueError(f"motion table {str(table)!r} has the trial {name!r} twice; names differ")
-    study = Study(trials, columns=tuple(header), **settings)
+    study = Study(trials, **settings)
     TrialSetup(exponent=study.exponent, reserve=study.reserve)  # says what is out of bounds
     check_least(0, draws=study.draws, seed=study.seed)
     if (parts := len(trials) * (study.draws // DRAWS + 1)) > MOST:
