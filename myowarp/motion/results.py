@@ -134,6 +134,10 @@ class JointAngles(Result):
         tables.write_rows("gaps.csv", [("marker", "first [s]", "last [s]", "filled"), *rows])
 
 
+Row = tuple[str, str, Iterable[str], np.ndarray | None]
+"""File of a table without `.sto`, title, labels and values; None: there is none, and an older file goes."""
+
+
 @dataclass(frozen=True, eq=False)
 class AlongMotion(Result):
     """A result in all frames of a motion.
@@ -146,29 +150,38 @@ class AlongMotion(Result):
     bones: Bones
     motion: Movement
 
-    def _put(self, tables: Tables, name: str, title: str, labels: Iterable[str], values: np.ndarray) -> None:
-        """Write a table; its title has what acts in OpenSim and is left out here."""
+    @abstractmethod
+    def rows(self) -> Iterator[Row]:
+        """Yield its tables."""
+
+    def put(self, tables: Tables) -> None:
+        """Write its tables."""
+        for name, title, labels, values in self.rows():
+            if values is None:
+                tables.remove(f"{name}.sto")
+            else:
+                table = Storage(tuple(labels), self.motion.time, values)
+                tables.write(f"{name}.sto", title, table, self.motion.total)
+
+    def _titled(self, title: str) -> str:
+        """Return a title with what acts in OpenSim and is left out here."""
         lost = left_out(self.bones.model)
-        table = Storage(tuple(labels), self.motion.time, values)
-        tables.write(f"{name}.sto", f"{title}; {lost}" if lost else title, table, self.motion.total)
+        return f"{title}; {lost}" if lost else title
 
-    def _put_along(self, tables: Tables, name: str, title: str, values: np.ndarray) -> None:
-        """Write what acts along the coordinates, named as OpenSim names it."""
-        turns = [self.bones.model.coordinates[name].rotational for name in self.bones.coordinates]
+    def _along(self, name: str, title: str, values: np.ndarray | None) -> Row:
+        """Return a table of what acts along the coordinates, named as OpenSim names it."""
+        coordinates = self.bones.model.coordinates
         labels = (
-            f"{n}_{'moment' if t else 'force'}" for n, t in zip(self.bones.coordinates, turns, strict=True)
+            f"{one}_{'moment' if coordinates[one].rotational else 'force'}" for one in self.bones.coordinates
         )
-        self._put(tables, name, title, labels, values)
+        return name, self._titled(title), labels, values
 
-    def _put_beside(self, tables: Tables, needed: Needed) -> None:
-        """Write what acts beside muscles: springs and contacts; no files of a model without them."""
-        if acts(self.bones.model):
-            title = "what springs, limits, bushings and ligaments of the model give, N m and N"
-            self._put_along(tables, "passive_moments", title, needed.passive)
-        else:
-            tables.remove("passive_moments.sto")
+    def _beside(self, needed: Needed) -> Iterator[Row]:
+        """Yield what acts beside muscles: springs and contacts of the model."""
+        title = "what springs, limits, bushings and ligaments of the model give, N m and N"
+        yield self._along("passive_moments", title, needed.passive if acts(self.bones.model) else None)
         if (found := needed.contacts) is None:
-            tables.remove("contact_forces.sto")
+            yield "contact_forces", "", (), None
             return
         labels = (
             f"{pair.force}.{pair.second.name}.{part}.{axis}"
@@ -178,12 +191,12 @@ class AlongMotion(Result):
         )
         table = np.concatenate([found.force, found.location], axis=2).reshape(len(self.motion.time), -1)
         title = "contact forces on the geometry that a label names, N, and where they act, m; in ground"
-        self._put(tables, "contact_forces", title, labels, table)
+        yield "contact_forces", self._titled(title), labels, table
 
 
 @dataclass(frozen=True, eq=False)
 class JointMoments(AlongMotion):
-    """Joint moments that a motion takes under its loads.
+    """Joint moments that a motion takes under its loads: `moments.sto`, and what acts beside muscles.
 
     Attributes:
         needed: The moments, and what the model's own springs and contacts do.
@@ -193,21 +206,21 @@ class JointMoments(AlongMotion):
     needed: Needed
     held: str
 
-    def put(self, tables: Tables) -> None:
-        """Write `moments.sto`, and of a model that has some `passive_moments.sto`, `contact_forces.sto`."""
+    def rows(self) -> Iterator[Row]:
+        """Yield its tables."""
         title = f"joint moments, N m and N{self.held and f'; {self.held}'}"
-        self._put_along(tables, "moments", title, self.needed.joint_moment)
-        self._put_beside(tables, self.needed)
+        yield self._along("moments", title, self.needed.joint_moment)
+        yield from self._beside(self.needed)
 
 
 @dataclass(frozen=True, eq=False)
 class MuscleAnalysis(AlongMotion):
-    """Muscles along a motion, each array of shape (frames, muscles).
+    """Muscles along a motion: lengths, velocities, moment arms, forces, and powers of both forces together.
 
     Attributes:
         paths: Lengths, velocities and moment arms.
-        active: Forces at full activation with a rigid tendon [N].
-        passive: Passive forces in equilibrium [N].
+        active: Forces at full activation with a rigid tendon [N], shape (frames, muscles).
+        passive: Passive forces in equilibrium [N], likewise.
         needed: What springs and contacts of the model do meanwhile.
     """
 
@@ -216,28 +229,23 @@ class MuscleAnalysis(AlongMotion):
     passive: np.ndarray
     needed: Needed
 
-    def put(self, tables: Tables) -> None:
-        """Write lengths, velocities, moment arms, active and passive forces, and powers of both together."""
-        paths = self.paths
+    def rows(self) -> Iterator[Row]:
+        """Yield its tables."""
+        paths, names = self.paths, self.paths.muscles
         power = -(self.active + self.passive) * paths.velocity
         arms = {
             f"{muscle}.{coordinate}": paths.moment_arm[:, i, k]
-            for i, (muscle, crossed) in enumerate(zip(paths.muscles, paths.crossed, strict=True))
+            for i, (muscle, crossed) in enumerate(zip(names, paths.crossed, strict=True))
             for k, coordinate in enumerate(self.bones.coordinates)
             if k in crossed
         }
-        names, joined = paths.muscles, np.stack(list(arms.values()), axis=1)
-        for name, title, labels, values in (
-            ("lengths", "lengths of muscle and tendon, m", names, paths.length),
-            ("velocities", "velocities of muscle and tendon, m/s, lengthening > 0", names, paths.velocity),
-            ("active_forces", "active forces at full activation, rigid tendon, N", names, self.active),
-            ("passive_forces", "passive forces, N", names, self.passive),
-            ("full_powers", "powers at full activation, W, shortening > 0", names, power),
-            ("moment_arms", "moment arms, m", tuple(arms), joined),
-        ):
-            table = Storage(labels, self.motion.time, values)
-            tables.write(f"{name}.sto", title, table, self.motion.total)
-        self._put_beside(tables, self.needed)
+        yield "lengths", "lengths of muscle and tendon, m", names, paths.length
+        yield "velocities", "velocities of muscle and tendon, m/s, lengthening > 0", names, paths.velocity
+        yield "active_forces", "active forces at full activation, rigid tendon, N", names, self.active
+        yield "passive_forces", "passive forces, N", names, self.passive
+        yield "full_powers", "powers at full activation, W, shortening > 0", names, power
+        yield "moment_arms", "moment arms, m", arms, np.stack(list(arms.values()), axis=1)
+        yield from self._beside(self.needed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,10 +266,10 @@ class MotionForces(AlongMotion):
     actuators: Actuators | None
     reactions: JointReactions
 
-    def put(self, tables: Tables) -> None:
-        """Write moments, activations, forces, powers, motors, joint reactions, reserves, what is missing."""
-        self.moments.put(tables)
-        found, reactions = self.solved, self.reactions
+    def rows(self) -> Iterator[Row]:
+        """Yield its tables, those of the moments first."""
+        yield from self.moments.rows()
+        found, reactions, actuators = self.solved, self.reactions, self.actuators
         for name, title, values in (
             ("activations", "activations", found.activation),
             ("forces", "forces of muscles, N", found.force),
@@ -269,12 +277,9 @@ class MotionForces(AlongMotion):
             ("metabolic_powers", "metabolic powers of muscles, W, without the rate at rest",
              self.metabolic_power),
         ):  # fmt: skip
-            self._put(tables, name, title, found.muscles, values)
-        if self.actuators is None:
-            tables.remove("actuators.sto")
-        else:
-            given = found.control * self.actuators.optimal
-            self._put(tables, "actuators", "what motors give, N m and N", found.motors, given)
+            yield name, self._titled(title), found.muscles, values
+        given = None if actuators is None else found.control * actuators.optimal
+        yield "actuators", self._titled("what motors give, N m and N"), found.motors, given
         labels = (  # of OpenSim's JointReaction: on the child, in ground
             f"{joint}_on_{child}_in_ground_{part}{axis}"
             for joint, child in zip(reactions.joints, reactions.children, strict=True)
@@ -283,9 +288,9 @@ class MotionForces(AlongMotion):
         )
         parts = np.concatenate([reactions.force, reactions.moment, reactions.point], axis=2)
         table = parts.reshape(len(self.motion.time), -1)
-        self._put(tables, "joint_reactions", "joint reactions, N, N m and m", labels, table)
-        self._put_along(tables, "reserves", "what reserves and motors give, N m and N", found.reserve)
-        self._put_along(tables, "missing", "what nobody gives, N m and N", found.missing)
+        yield "joint_reactions", self._titled("joint reactions, N, N m and m"), labels, table
+        yield self._along("reserves", "what reserves and motors give, N m and N", found.reserve)
+        yield self._along("missing", "what nobody gives, N m and N", found.missing)
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,16 +304,20 @@ class TrackedMotion(AlongMotion):
     tracked: Tracked
 
     def put(self, tables: Tables) -> None:
-        """Write `tracked.mot`, excitations, activations, fiber lengths, forces and reserves."""
+        """Write `tracked.mot`, and its tables."""
         found = self.tracked
         angles = angles_table(self.bones.model, found.coordinates, found.time, found.values[:, 0])
         tables.write("tracked.mot", ANGLES, angles)
+        super().put(tables)
+
+    def rows(self) -> Iterator[Row]:
+        """Yield its tables."""
+        found = self.tracked
         for name, title, values in (
             ("excitations", "excitations", found.excitation),
             ("activations", "activations", found.activation),
             ("fiber_lengths", "fiber lengths, m", found.fiber_length),
             ("forces", "forces of muscles, N", found.force),
         ):
-            self._put(tables, name, title, found.muscles, values[:, 0])
-        given = found.reserve[:, 0]
-        self._put_along(tables, "reserves", "what reserves and motors give, N m and N", given)
+            yield name, self._titled(title), found.muscles, values[:, 0]
+        yield self._along("reserves", "what reserves and motors give, N m and N", found.reserve[:, 0])

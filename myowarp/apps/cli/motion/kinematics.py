@@ -47,9 +47,9 @@ class Kinematics:
         from myowarp.osim.body.skeleton import Bones
 
         setup = setup_of(self)
-        sensors, files = setup.orientations is not None, FILES
+        sensors = setup.orientations is not None
+        files: tuple[str, ...] = SENSOR_FILES if sensors else FILES
         if sensors:
-            files = SENSOR_FILES
             if setup.markers is not None:
                 raise ValueError("motion kinematics takes --markers or --orientations, not both")
             for name in ("fill", "marker_set"):
