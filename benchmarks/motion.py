@@ -29,11 +29,11 @@ from myowarp.motion.inverse_dynamics import inverse_dynamics
 from myowarp.motion.inverse_kinematics import inverse_kinematics
 from myowarp.motion.loads import loads_at
 from myowarp.motion.markers import Markers, read_trc, write_trc
+from myowarp.motion.movement import write_angles
 from myowarp.motion.muscle_forces import muscle_forces
 from myowarp.motion.smooth import derivatives
 from myowarp.motion.storage import Storage, read_storage, write_storage
 from myowarp.motion.tasks import tasks_of
-from myowarp.motion.trial import write_angles
 from myowarp.osim.body.muscle_paths import muscle_paths
 from myowarp.osim.body.skeleton import Bones
 from myowarp.osim.document.read.element import parse

@@ -312,7 +312,7 @@ def place_of(name):
 
 
 NOT_OPTIONS = {
-    **{f"apps/cli/motion/{name}.py": {"contact"} for name in ("analyze", "dynamics", "forces", "track")},
+    "apps/cli/motion/options.py": {"contact"},
     # In these files the words are torch's and torchrun's.
     "apps/train/loop.py": {"device"},
     "apps/train/networks.py": {"device"},

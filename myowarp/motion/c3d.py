@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from myowarp.disk import in_place
+from myowarp.disk import in_place, make_folder
 from myowarp.extras import to_install
 from myowarp.motion.markers import UNITS, Markers, write_trc
 from myowarp.motion.storage import Storage, logger, write_storage
@@ -52,17 +52,15 @@ class Plate:
         force: On the person [N], shape (rows, 3).
         moment: On the person about `point` [N m], shape (rows, 3).
         point: Middle of its corners [m], shape (3,).
-        corners: [m], shape (4, 3).
     """
 
     force: np.ndarray
     moment: np.ndarray
     point: np.ndarray
-    corners: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class C3dRecording:
     """Content of a C3D file, in OpenSim's axes.
 
     Attributes:
@@ -70,7 +68,6 @@ class Recording:
         time: Of plates and channels [s], shape (rows,).
         plates: In the order of the file.
         channels: Analog channels that are no plate's, in the file's units.
-        units: Of these.
         skipped: Points that are no markers, such as angles.
     """
 
@@ -78,11 +75,42 @@ class Recording:
     time: np.ndarray
     plates: tuple[Plate, ...]
     channels: Storage | None
-    units: tuple[str, ...]
     skipped: tuple[str, ...]
 
+    def write(self, folder: Path, bodies: Sequence[str] = ()) -> tuple[str, ...]:
+        """Write `markers.trc`, `grf.mot`, `grf.xml`, `analog.sto`, as far as there is anything; return which.
 
-def read_c3d(path: Path, up: str | None = None, names: Mapping[str, str] | None = None) -> Recording:
+        Args:
+            folder: Folder, which is made.
+            bodies: On which each plate acts, in the order of plates; none: no `grf.xml` is written.
+
+        Raises:
+            ValueError: There are not as many bodies as plates.
+            OSError: A file cannot be written.
+        """
+        if bodies and len(bodies) != len(self.plates):
+            raise ValueError(
+                f"--plates must name one body for each of {len(self.plates)} force plates, got {len(bodies)}"
+            )
+        make_folder(folder)
+        written = []
+        if self.markers is not None:
+            write_trc(folder / "markers.trc", self.markers)
+            written.append("markers.trc")
+        if self.plates:
+            write_storage(folder / "grf.mot", "forces and moments of force plates", ground_forces(self))
+            written.append("grf.mot")
+        if bodies:
+            with in_place(folder / "grf.xml") as scratch:
+                scratch.write_text(_external_loads(bodies), encoding="utf-8")
+            written.append("grf.xml")
+        if self.channels is not None:
+            write_storage(folder / "analog.sto", "analog channels", self.channels)
+            written.append("analog.sto")
+        return tuple(written)
+
+
+def read_c3d(path: Path, up: str | None = None, names: Mapping[str, str] | None = None) -> C3dRecording:
     """Read a C3D file.
 
     Args:
@@ -119,15 +147,12 @@ def read_c3d(path: Path, up: str | None = None, names: Mapping[str, str] | None 
         return renamed.get(label, label)
 
     markers, skipped = _markers(path, file, axes, called)
-    time, channels, units = _channels(path, file, called)
+    time, channels = _channels(file, called)
     if missing := [name for name in renamed if name not in used]:
         raise ValueError(
             f"{str(path)!r} has no marker or channel {missing[0]!r}; available: {', '.join(sorted(used))}"
         )
-    turned = tuple(
-        Plate(one.force @ axes.T, one.moment @ axes.T, axes @ one.point, one.corners @ axes.T)
-        for one in plates
-    )
+    turned = tuple(Plate(one.force @ axes.T, one.moment @ axes.T, axes @ one.point) for one in plates)
     for number, plate in enumerate(turned, 1):
         loaded = np.abs(plate.force[:, 1]) > PULL
         if loaded.any() and (pull := -plate.force[loaded, 1].mean()) > PULL:
@@ -137,15 +162,11 @@ def read_c3d(path: Path, up: str | None = None, names: Mapping[str, str] | None 
                 number,
                 pull,
             )
-    return Recording(markers, time, turned, channels, units, skipped)
+    return C3dRecording(markers, time, turned, channels, skipped)
 
 
 def _probe(path: Path) -> None:
-    """Read the file in another process, which ezc3d ends at some damaged files.
-
-    Raises:
-        ValueError: It did, or did not come to an end.
-    """
+    """Read the file in another process, which ezc3d ends at some damaged files."""
     command = [sys.executable, "-c", PROBE, str(path)]
     try:
         code = subprocess.run(command, capture_output=True, timeout=PATIENCE, check=False).returncode
@@ -180,11 +201,7 @@ def _labels(file: Any, group: str, count: int) -> list[str]:
 
 
 def _scale(path: Path, unit: str) -> float:
-    """Return the metres of a unit.
-
-    Raises:
-        ValueError: It is unknown.
-    """
+    """Return the metres of a unit."""
     if unit.strip().lower() not in UNITS:
         raise ValueError(f"{str(path)!r} has the unit {unit!r}; known are {', '.join(UNITS)}")
     return UNITS[unit.strip().lower()]
@@ -198,11 +215,7 @@ def _vertical(file: Any) -> str:
 
 
 def _markers(path: Path, file: Any, axes: np.ndarray, called: Any) -> tuple[Markers | None, tuple[str, ...]]:
-    """Return markers, and the points that are none.
-
-    Raises:
-        ValueError: The unit is unknown, or the rate is none.
-    """
+    """Return markers, and the points that are none."""
     points = np.asarray(file["data"]["points"])[:3]
     labels = _labels(file, "POINT", points.shape[1])
     derived = {str(label).strip() for name in DERIVED for label in (_value(file, "POINT", name) or [])}
@@ -221,22 +234,19 @@ def _markers(path: Path, file: Any, axes: np.ndarray, called: Any) -> tuple[Mark
     return Markers(names, np.arange(len(places)) / rate, places), skipped
 
 
-def _channels(path: Path, file: Any, called: Any) -> tuple[np.ndarray, Storage | None, tuple[str, ...]]:
-    """Return times of analog rows, and the channels that are no plate's with their units."""
+def _channels(file: Any, called: Any) -> tuple[np.ndarray, Storage | None]:
+    """Return times of analog rows, and the channels that are no plate's."""
     analogs = np.asarray(file["data"]["analogs"])[0]
     rate = float(file["header"]["analogs"]["frame_rate"])
     if not analogs.size or not 0.0 < rate < np.inf:
-        return np.zeros(0), None, ()
+        return np.zeros(0), None
     time = np.arange(analogs.shape[1]) / rate
     taken = np.ravel(_value(file, "FORCE_PLATFORM", "CHANNEL")) if _count(file) else np.zeros(0)
     kept = [k for k in range(len(analogs)) if k + 1 not in taken]
     if not kept:
-        return time, None, ()
+        return time, None
     labels = _labels(file, "ANALOG", len(analogs))
-    units = [str(unit).strip() for unit in (_value(file, "ANALOG", "UNITS") or [])]
-    units += [""] * (len(analogs) - len(units))
-    table = Storage(tuple(called(labels[k]) for k in kept), time, analogs[kept].T)
-    return time, table, tuple(units[k] for k in kept)
+    return time, Storage(tuple(called(labels[k]) for k in kept), time, analogs[kept].T)
 
 
 def _count(file: Any) -> int:
@@ -246,11 +256,7 @@ def _count(file: Any) -> int:
 
 
 def _plates(file: Any, ezc3d: Any) -> list[Plate]:
-    """Return the force plates in the laboratory's axes.
-
-    Raises:
-        RuntimeError: One is of a type that is not read, or a parameter is wrong.
-    """
+    """Return the force plates in the laboratory's axes."""
     if not _count(file):
         return []
     read = ezc3d.ezc3d.ForcePlatforms(file.c3d_swig).forcePlatforms()
@@ -258,11 +264,7 @@ def _plates(file: Any, ezc3d: Any) -> list[Plate]:
 
 
 def _plate(read: Any) -> Plate:
-    """Return a force plate in the laboratory's axes.
-
-    Raises:
-        RuntimeError: Its units are unknown.
-    """
+    """Return a force plate in the laboratory's axes."""
     length = UNITS.get(read.positionUnit().strip().lower())
     if length is None or read.forceUnit().strip() not in ("N", ""):
         raise RuntimeError(f"a force plate has the units {read.forceUnit()!r} and {read.positionUnit()!r}")
@@ -270,44 +272,11 @@ def _plate(read: Any) -> Plate:
     def rows(vectors: Any) -> np.ndarray:
         return np.array([np.ravel(one.to_array()) for one in vectors]).reshape(-1, 3)
 
-    point, corners = np.ravel(read.meanCorners().to_array()), rows(read.corners())
-    return Plate(rows(read.forces()), length * rows(read.moments()), length * point, length * corners)
+    point = np.ravel(read.meanCorners().to_array())
+    return Plate(rows(read.forces()), length * rows(read.moments()), length * point)
 
 
-def write_recording(output: Path, recording: Recording, bodies: Sequence[str] = ()) -> tuple[str, ...]:
-    """Write `markers.trc`, `grf.mot`, `grf.xml` and `analog.sto`, as far as there is anything; return which.
-
-    Args:
-        output: Folder, which exists.
-        recording: From `read_c3d`.
-        bodies: On which each plate acts, in the order of plates; none: no `grf.xml` is written.
-
-    Raises:
-        ValueError: There are not as many bodies as plates.
-        OSError: A file cannot be written.
-    """
-    written = []
-    if bodies and len(bodies) != len(recording.plates):
-        raise ValueError(
-            f"--plates must name one body for each of {len(recording.plates)} force plates, got {len(bodies)}"
-        )
-    if recording.markers is not None:
-        write_trc(output / "markers.trc", recording.markers)
-        written.append("markers.trc")
-    if recording.plates:
-        write_storage(output / "grf.mot", "forces and moments of force plates", ground_forces(recording))
-        written.append("grf.mot")
-    if bodies:
-        with in_place(output / "grf.xml") as scratch:
-            scratch.write_text(_external_loads(bodies), encoding="utf-8")
-        written.append("grf.xml")
-    if recording.channels is not None:
-        write_storage(output / "analog.sto", "analog channels", recording.channels)
-        written.append("analog.sto")
-    return tuple(written)
-
-
-def ground_forces(recording: Recording) -> Storage:
+def ground_forces(recording: C3dRecording) -> Storage:
     """Return force, point and moment of each plate, under OpenSim's usual names, `ground_force_1_vx`."""
     labels: list[str] = []
     columns: list[np.ndarray] = []

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -21,8 +22,10 @@ from myowarp.motion.actuators import actuators_of
 from myowarp.motion.inverse_dynamics import Load, inverse_dynamics
 from myowarp.motion.inverse_kinematics import Fitted, inverse_kinematics
 from myowarp.motion.markers import Markers
-from myowarp.motion.muscle_forces import Mode, MuscleForces, muscle_forces
+from myowarp.motion.muscle_forces import MuscleForces
+from myowarp.motion.setup import TrialSetup
 from myowarp.motion.smooth import derivatives
+from myowarp.motion.steps import least_forces
 from myowarp.osim.body.muscle_paths import MusclePaths, muscle_paths
 from myowarp.osim.body.skeleton import Bones
 
@@ -70,15 +73,10 @@ class Recording:
         bones: The model.
         time: Of what is solved [s], shape (frames,).
         values: Of the independent coordinates, before the filter [rad] or [m], shape (rows, coordinates).
-        markers: Where the values come from; None: a file of angles.
-        marker_weights: By marker.
-        coordinate_weights: By coordinate.
-        coordinate_values: Wanted values, by coordinate, one or one for each frame.
+        setup: With filter, mode, exponent and reserves.
+        markers: Source of the values; None: a file of angles.
+        targets: Weights and wanted values of their pose, as `inverse_kinematics` takes them.
         loads: From outside.
-        cutoff: Of the filter [Hz]; None: none.
-        mode: What muscles can give, see `muscle_forces`.
-        exponent: p of the cost.
-        reserves: By coordinate [N m] or [N].
         factors: On `max_isometric_force`, `tendon_slack_length` and `mass`, by name; with a colon and the
             name of a muscle or body behind, on its alone.
         known: Times of the values [s], shape (rows,), where there are more of them; None: those of `time`.
@@ -87,15 +85,10 @@ class Recording:
     bones: Bones
     time: np.ndarray
     values: np.ndarray
+    setup: TrialSetup = field(default_factory=TrialSetup)
     markers: Markers | None = None
-    marker_weights: Mapping[str, float] | None = None
-    coordinate_weights: Mapping[str, float] = field(default_factory=dict)
-    coordinate_values: Mapping[str, float | np.ndarray] = field(default_factory=dict)
+    targets: Mapping[str, Any] = field(default_factory=dict)
     loads: Sequence[Load] = ()
-    cutoff: float | None = None
-    mode: Mode = "equilibrium"
-    exponent: float = 2.0
-    reserves: Mapping[str, float] | None = None
     factors: Mapping[str, float] = field(default_factory=dict)
     known: np.ndarray | None = None
 
@@ -197,13 +190,13 @@ def draw_trial(recording: Recording, uncertain: Uncertainty, draws: Sequence[int
     fitted = _fitted(recording, uncertain, draws, seed) if uncertain.moves else None
     if fitted is None:
         known = recording.time if recording.known is None else recording.known
-        found = derivatives(known, recording.values, recording.time, recording.cutoff)
+        found = derivatives(known, recording.values, recording.time, recording.setup.cutoff)
         once = muscle_paths(bones, found[0], found[1])
         whole = tiled(once.length), tiled(once.velocity), tiled(once.moment_arm)
         paths, motion = MusclePaths(muscles, *whole, once.crossed), [tiled(part) for part in found]
     else:
         beside = np.concatenate(np.split(fitted.values, count), axis=1)
-        found = derivatives(recording.time, beside, recording.time, recording.cutoff)
+        found = derivatives(recording.time, beside, recording.time, recording.setup.cutoff)
         motion = [np.concatenate(np.split(part, count, axis=1)) for part in found]
         paths = muscle_paths(bones, motion[0], motion[1])
     loads = [
@@ -214,18 +207,14 @@ def draw_trial(recording: Recording, uncertain: Uncertainty, draws: Sequence[int
     needed = inverse_dynamics(bones, motion[0], motion[1], motion[2], loads, spread("mass", bodies))
     finite("joint angles", motion[0])
     finite("joint moments", needed.joint_moment)
-    forces = muscle_forces(
-        bones.model,
-        bones.coordinates,
+    forces = least_forces(
+        bones,
+        recording.setup,
         paths,
-        needed.joint_moment,
-        mode=recording.mode,
-        exponent=recording.exponent,
-        reserves=recording.reserves,
-        actuators=actuators_of(bones, motion[0]),
+        needed,
+        actuators_of(bones, motion[0]),
         strength=spread("max_isometric_force", muscles),
         slack=spread("tendon_slack_length", muscles),
-        device=bones.device,
         sequence=frames,
     )
     shape = count, frames, -1
@@ -242,30 +231,26 @@ def draw_trial(recording: Recording, uncertain: Uncertainty, draws: Sequence[int
 
 
 def _fitted(recording: Recording, uncertain: Uncertainty, draws: Sequence[int], seed: int) -> Fitted:
-    """Return the joint angles of draws, each frame from where the trial itself has it.
-
-    Raises:
-        ValueError: The trial has no markers.
-    """
+    """Return the joint angles of draws, each frame from where the trial itself has it."""
     markers = recording.markers
     if markers is None:
         raise ValueError("noise and weights of markers need markers; this trial is a file of joint angles")
-    shape, used = markers.positions.shape, list(recording.marker_weights or ())
+    targets = dict(recording.targets)
+    shape, used = markers.positions.shape, list(targets.get("marker_weights") or ())
     noise = [normal(seed, draw, "marker_noise", *shape) for draw in draws]
     places = markers.positions + uncertain.marker_noise * np.array(noise)
     factors = [
         np.exp(uncertain.marker_weight * normal(seed, draw, "marker_weight", len(used))) for draw in draws
     ]
     many = Markers(markers.names, np.tile(markers.time, len(draws)), places.reshape(-1, *shape[1:]))
+    wanted = targets.get("coordinate_values", {}).items()
+    targets["coordinate_values"] = {
+        name: np.tile(value, len(draws)) if np.ndim(value) else value for name, value in wanted
+    }
     return inverse_kinematics(
         recording.bones,
         many,
-        recording.marker_weights,
-        recording.coordinate_weights,
-        {
-            name: np.tile(value, len(draws)) if np.ndim(value) else value
-            for name, value in recording.coordinate_values.items()
-        },
+        **targets,
         near=np.tile(recording.values, (len(draws), 1)),
         weight_factors=np.repeat(factors, shape[0], axis=0) if used else 1.0,
     )

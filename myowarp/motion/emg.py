@@ -15,7 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from myowarp.motion.storage import Storage
+from myowarp.motion.results import Result
+from myowarp.motion.storage import Storage, Tables
 
 BAND = (20.0, 450.0)
 """Frequencies of a surface electromyogram [Hz]; the upper one is at most 0.45 times the rate."""
@@ -46,6 +47,37 @@ class Agreement:
     muscle: str
     delay: float
     correlation: float
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison(Result):
+    """Electromyograms beside activations.
+
+    Attributes:
+        envelope: From `envelopes`.
+        activation: Over time.
+        found: Their agreement, the least alike first.
+    """
+
+    envelope: Storage
+    activation: Storage
+    found: Sequence[Agreement]
+
+    def put(self, tables: Tables) -> None:
+        """Write `emg.sto` and `emg_agreement.csv`."""
+        tables.write("emg.sto", "envelopes of electromyograms", self.envelope)
+        rows = [(one.muscle, f"{one.delay:.3f}", f"{one.correlation:.4f}") for one in self.found]
+        tables.write_rows("emg_agreement.csv", [("muscle", "delay [s]", "correlation"), *rows])
+
+
+def compare(recording: Storage, activation: Storage) -> Comparison:
+    """Compare raw electromyograms with activations.
+
+    Raises:
+        As `envelopes` and `agreement`.
+    """
+    envelope = envelopes(recording)
+    return Comparison(envelope, activation, agreement(envelope, activation))
 
 
 def envelopes(recording: Storage, smooth: float = SMOOTH) -> Storage:

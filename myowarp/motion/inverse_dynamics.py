@@ -20,7 +20,6 @@ from myowarp.kernels.launch import launch
 from myowarp.laws.forces.bushing import bushing_wrench
 from myowarp.osim.body.contacts import Contacts, contacts_along
 from myowarp.osim.body.model_forces import (
-    Acting,
     ModelForces,
     acting_in,
     along_moves,
@@ -289,10 +288,35 @@ def inverse_dynamics(
     heavy = np.atleast_2d(np.asarray(masses, float))
     heavy = np.broadcast_to(heavy, (len(heavy), len(bones.bodies) - 1))
 
+    loaded = np.array(frames, np.int32).reshape(-1, 3)
+    pushing = passive and acting.any
+
     def solve(c: slice) -> tuple[np.ndarray, ...]:
-        masses = heavy[c] if len(heavy) > 1 else heavy
-        motion = values[c], speeds[c], accelerations[c]
-        return _chunk(bones, motion, loading[c], frames, masses, acting, passive and acting.any)
+        count, flow = len(loading[c]), Flow()
+        with wp.ScopedDevice(bones.device):
+            placement = bones.placement(count)
+            for name in ("turn", "spin", "acceleration", "force", "torque"):
+                setattr(flow, name, wp.zeros((count, len(bones.bodies) - 1), dtype=wp.vec3d))
+            moment = wp.zeros((count, len(bones.coordinates)), dtype=wp.float64)
+            pushed = wp.zeros((count, len(bones.coordinates) * pushing), dtype=wp.float64)
+            launch(
+                invert_dynamics,
+                count,
+                skeleton=bones.skeleton,
+                load_body=wp.array(loaded, dtype=int),
+                mass_factor=wp.array(heavy[c] if len(heavy) > 1 else heavy, dtype=wp.float64),
+                acting=acting.tables,
+                values=wp.array(values[c], dtype=wp.float64),
+                speeds=wp.array(speeds[c], dtype=wp.float64),
+                accelerations=wp.array(accelerations[c], dtype=wp.float64),
+                load=wp.array(loading[c], dtype=wp.vec3d),
+                placement=placement,
+                flow=flow,
+                passive=pushed,
+                joint_moment=moment,
+            )
+        arrays = (moment, pushed, flow.force, flow.torque, placement.origin, placement.rotation)
+        return tuple(array.numpy().copy() for array in arrays)
 
     moment, pushed, *rest = joined(in_parts(len(values), CHUNK, solve))
     pushed = pushed if pushed.shape[1] else np.broadcast_to(0.0, moment.shape)
@@ -310,39 +334,3 @@ def _pushing(contacts: Contacts) -> Iterator[Load]:
         for surface, sign in ((pair.first, -1.0), (pair.second, 1.0)):
             if surface.body != GROUND:
                 yield Load(surface.body, sign * force, point, np.zeros_like(force))
-
-
-def _chunk(
-    bones: Bones,
-    motion: tuple[np.ndarray, np.ndarray, np.ndarray],
-    loads: np.ndarray,
-    frames: Sequence[tuple[int, int, int]],
-    masses: np.ndarray,
-    acting: Acting,
-    passive: bool,
-) -> tuple[np.ndarray, ...]:
-    """Return the arrays of `Needed` for some frames, without ligaments."""
-    count = len(loads)
-    placement, flow = bones.placement(count), Flow()
-    with wp.ScopedDevice(bones.device):
-        for name in ("turn", "spin", "acceleration", "force", "torque"):
-            setattr(flow, name, wp.zeros((count, len(bones.bodies) - 1), dtype=wp.vec3d))
-        moment = wp.zeros((count, len(bones.coordinates)), dtype=wp.float64)
-        pushed = wp.zeros((count, len(bones.coordinates) * passive), dtype=wp.float64)
-        launch(
-            invert_dynamics,
-            count,
-            skeleton=bones.skeleton,
-            load_body=wp.array(np.array(frames, np.int32).reshape(-1, 3), dtype=int),
-            mass_factor=wp.array(masses, dtype=wp.float64),
-            acting=acting.tables,
-            **{name: wp.array(array, dtype=wp.float64)
-               for name, array in zip(("values", "speeds", "accelerations"), motion, strict=True)},
-            load=wp.array(loads, dtype=wp.vec3d),
-            placement=placement,
-            flow=flow,
-            passive=pushed,
-            joint_moment=moment,
-        )  # fmt: skip
-    arrays = (moment, pushed, flow.force, flow.torque, placement.origin, placement.rotation)
-    return tuple(array.numpy().copy() for array in arrays)

@@ -401,49 +401,45 @@ def solve_inverse_kinematics(
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """Coordinates that fit markers.
+    """Coordinates that fit markers, or sensors.
 
     Attributes:
         coordinates: Names of the independent coordinates.
         time: [s], shape (frames,).
         values: [rad] or [m], shape (frames, coordinates).
-        markers: Names of those that had a weight.
-        places: Where the model has them [m], shape (frames, markers, 3).
-        error: Distance to where they were recorded [m], NaN where they were not seen, shape (frames,
-            markers).
-        objective: What was minimised, shape (frames,).
+        names: Those of markers or sensors that had a weight.
+        error: Distance [m] or angle [rad] to where they were recorded, NaN where they were not seen, shape
+            (frames, names).
     """
 
     coordinates: tuple[str, ...]
     time: np.ndarray
     values: np.ndarray
-    markers: tuple[str, ...]
-    places: np.ndarray
+    names: tuple[str, ...]
     error: np.ndarray
-    objective: np.ndarray
 
     def worst(self) -> list[tuple[str, float, float]]:
-        """Return name, root mean square and largest error [m] of each marker, the worst first."""
-        return MarkerErrors().add(self).worst()
+        """Return name, root mean square and largest error of each that was seen, the worst first."""
+        return FitErrors().add(self).worst()
 
     def doubt(self) -> str | None:
         """Return what is likely wrong with the recording, None where markers fit."""
-        return MarkerErrors().add(self).doubt()
+        return FitErrors().add(self).doubt()
 
 
-class MarkerErrors:
-    """Errors of markers, of all parts of a recording."""
+class FitErrors:
+    """Errors of markers or sensors, of all parts of a recording."""
 
     def __init__(self) -> None:
         """Begin with none."""
-        self._markers: tuple[str, ...] = ()
+        self._names: tuple[str, ...] = ()
         self._squares, self._count, self._most = np.zeros((3, 0))
 
-    def add(self, fitted: Fitted) -> MarkerErrors:
+    def add(self, fitted: Fitted) -> FitErrors:
         """Count a part."""
-        if not self._markers:
-            self._markers = fitted.markers
-            self._squares, self._count, self._most = np.zeros((3, len(fitted.markers)))
+        if not self._names:
+            self._names = fitted.names
+            self._squares, self._count, self._most = np.zeros((3, len(fitted.names)))
         seen = np.isfinite(fitted.error)
         error = np.where(seen, fitted.error, 0.0)
         self._squares = self._squares + (error**2).sum(axis=0)
@@ -452,9 +448,9 @@ class MarkerErrors:
         return self
 
     def worst(self) -> list[tuple[str, float, float]]:
-        """Return name, root mean square and largest error [m] of each marker, the worst first."""
+        """Return name, root mean square and largest error of each that was seen, the worst first."""
         rms = np.sqrt(self._squares / np.maximum(self._count, 1))
-        rows = zip(self._markers, rms.tolist(), self._most.tolist(), self._count, strict=True)
+        rows = zip(self._names, rms.tolist(), self._most.tolist(), self._count, strict=True)
         return sorted(((name, mean, most) for name, mean, most, n in rows if n), key=lambda row: -row[1])
 
     def doubt(self) -> str | None:
@@ -463,9 +459,8 @@ class MarkerErrors:
         if rms <= LARGE:
             return None
         return (
-            f"markers are {rms:.3g} m off (root mean square); check the recording's unit, its vertical "
-            f"axis, and "
-            f"that names are those of the model: worst is {self.worst()[0][0]!r}"
+            f"markers are {rms:.3g} m off (root mean square); check the recording's unit, its vertical axis, "
+            f"and that names are those of the model: worst is {self.worst()[0][0]!r}"
         )
 
 
@@ -513,17 +508,12 @@ def inverse_kinematics(
         targets.location = wp.array([model.markers[name].location for name in used], dtype=wp.vec3d)
         targets.weight = wp.array(factors * list(weights.values()), dtype=wp.float64)
         out = fitted_values(bones, targets, bounds, len(seen), start, near)
-        places = out["places"].numpy()
-        error = np.linalg.norm(places - seen, axis=2)
-        return Fitted(names, recorded.time, out["values"].numpy(), used, places, error, out["cost"].numpy())
+        error = np.linalg.norm(out["places"].numpy() - seen, axis=2)
+        return Fitted(names, recorded.time, out["values"].numpy(), used, error)
 
 
 def _checked(bones: Bones, recorded: Markers, marker_weights: Mapping[str, float] | None) -> dict[str, float]:
-    """Return the weights that are above 0, by marker; by default 1 for all that model and recording share.
-
-    Raises:
-        ValueError: A marker is unknown, a weight is negative, or none is positive.
-    """
+    """Return the weights that are above 0, by marker; by default 1 for all that model and recording share."""
     model = bones.model
     shared = [name for name in recorded.names if name in model.markers]
     weights = dict.fromkeys(shared, 1.0) if marker_weights is None else dict(marker_weights)
@@ -624,37 +614,36 @@ def _run(
     bones: Bones, targets: Targets, first: np.ndarray, frames: int, stride: int, out: Mapping[str, Any]
 ) -> None:
     """Solve `frames` frames in each world from its first frame on."""
+    bodies, free = len(bones.bodies) - 1, len(bones.coordinates)
 
     def solve(part: slice) -> None:
+        heads, normal = first[part], Normal()
+        worlds = len(heads)
         with wp.ScopedDevice(bones.device):
-            _launch(bones, targets, first[part], frames, stride, out)
+            for name, shape, kind in (
+                ("weight", (worlds, bodies), wp.float64),
+                ("first", (worlds, bodies), wp.vec3d),
+                ("second", (worlds, bodies), wp.mat33d),
+                ("force", (worlds, bodies), wp.vec3d),
+                ("torque", (worlds, bodies), wp.vec3d),
+                ("matrix", (worlds, free, free), wp.float64),
+                ("factor", (worlds, free, free), wp.float64),
+                ("slope", (worlds, free), wp.float64),
+                ("step", (worlds, free), wp.float64),
+                ("old", (worlds, free), wp.float64),
+            ):
+                setattr(normal, name, wp.zeros(shape, dtype=kind))
+            launch(
+                solve_inverse_kinematics,
+                worlds,
+                skeleton=bones.skeleton,
+                targets=targets,
+                first=wp.array(heads, dtype=int),
+                frames=frames,
+                stride=stride,
+                placement=bones.placement(worlds),
+                normal=normal,
+                **out,
+            )
 
     in_parts(len(first), len(first), solve)
-
-
-def _launch(
-    bones: Bones, targets: Targets, first: np.ndarray, frames: int, stride: int, out: Mapping[str, Any]
-) -> None:
-    """Solve `frames` frames in each world of a part."""
-    worlds, bodies, free = len(first), len(bones.bodies) - 1, len(bones.coordinates)
-    normal = Normal()
-    for name, kind in (("weight", wp.float64), ("first", wp.vec3d), ("second", wp.mat33d)):
-        setattr(normal, name, wp.zeros((worlds, bodies), dtype=kind))
-    for name in ("force", "torque"):
-        setattr(normal, name, wp.zeros((worlds, bodies), dtype=wp.vec3d))
-    for name in ("matrix", "factor"):
-        setattr(normal, name, wp.zeros((worlds, free, free), dtype=wp.float64))
-    for name in ("slope", "step", "old"):
-        setattr(normal, name, wp.zeros((worlds, free), dtype=wp.float64))
-    launch(
-        solve_inverse_kinematics,
-        worlds,
-        skeleton=bones.skeleton,
-        targets=targets,
-        first=wp.array(first, dtype=int),
-        frames=frames,
-        stride=stride,
-        placement=bones.placement(worlds),
-        normal=normal,
-        **out,
-    )

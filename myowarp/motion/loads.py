@@ -51,9 +51,8 @@ class LoadColumns:
 
         if times[0] < recording.time[0] - 1e-6 or times[-1] > recording.time[-1] + 1e-6:
             raise ValueError(
-                f"load {self.name!r} is recorded from {recording.time[0]:g} to {recording.time[-1]:g} "
-                f"s; the motion "
-                f"is from {times[0]:g} to {times[-1]:g} s"
+                f"load {self.name!r} is recorded from {recording.time[0]:g} to {recording.time[-1]:g} s; the "
+                f"motion is from {times[0]:g} to {times[-1]:g} s"
             )
 
         def columns(prefix: str) -> np.ndarray:
@@ -101,11 +100,7 @@ def _applies(element: Element) -> bool:
 
 
 def _columns(element: Element) -> LoadColumns:
-    """Return which columns an external force is.
-
-    Raises:
-        ValueError: It has no body, or no force and no torque.
-    """
+    """Return which columns an external force is."""
     body = body_of(stated(element, "applied_to_body"))
     if not body:
         raise element.error("says not on which body it acts; <applied_to_body> is needed")
@@ -124,20 +119,18 @@ def _columns(element: Element) -> LoadColumns:
 class Loads:
     """The loads of a file of `ExternalLoads`."""
 
-    def __init__(self, path: Path, recording: Path | None = None, forwards: bool = False) -> None:
+    def __init__(self, path: Path, forwards: bool = False) -> None:
         """Read the file.
 
         Args:
             path: The file.
-            recording: File of the columns; by default the one that it names.
             forwards: Whether the recording is read a part at a time.
 
         Raises:
             ValueError: A file is not what it should be.
             OSError: A file cannot be read.
         """
-        self._columns, named = read_loads(path)
-        source = recording or named
+        self._columns, source = read_loads(path)
         if source is None:
             raise ValueError(f"{str(path)!r} names no <datafile>; give the file of the recorded forces")
         self._recording = Stream(source) if forwards else read_storage(source)
@@ -179,16 +172,15 @@ def prescribed_loads(bones: Bones, time: np.ndarray) -> list[Load]:
     return found
 
 
-def loads_at(path: Path, times: np.ndarray, recording: Path | None = None) -> list[Load]:
+def loads_at(path: Path, times: np.ndarray) -> list[Load]:
     """Return the loads of a file of `ExternalLoads` at some times [s].
 
     Args:
         path: The file.
         times: Increasing, shape (frames,).
-        recording: File of the columns; by default the one that it names.
 
     Raises:
         ValueError: A file is not what it should be, or does not cover the times.
         OSError: A file cannot be read.
     """
-    return Loads(path, recording).at(times)
+    return Loads(path).at(times)

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from myowarp.disk import NUMBER, in_place
-from myowarp.motion.storage import Header, Storage, logger
+from myowarp.motion.storage import Header, Storage, logger, rows_between
 from myowarp.motion.streams import Stream
 
 UNITS = {"mm": 1e-3, "millimeters": 1e-3, "cm": 1e-2, "centimeters": 1e-2, "m": 1.0, "meters": 1.0}
@@ -44,12 +44,7 @@ class Markers:
         Raises:
             ValueError: There is none.
         """
-        kept = (self.time >= start - 1e-9) & (self.time <= end + 1e-9)
-        if not kept.any():
-            raise ValueError(
-                f"no frame between {start:g} and {end:g} s; the recording is from {self.time[0]:g} to "
-                f"{self.time[-1]:g} s"
-            )
+        kept = rows_between(self.time, start, end, "recording is")
         return Markers(self.names, self.time[kept], self.positions[kept])
 
     def filled(self, most: float) -> Markers:

@@ -12,46 +12,18 @@ Source: Simbody's `OrientationSensors` (angles), OpenSim's `IMUInverseKinematics
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
 
-from myowarp.motion.inverse_kinematics import fitted_values, targets_of
+from myowarp.motion.inverse_kinematics import Fitted, fitted_values, targets_of
 from myowarp.motion.orientations import Orientations
 from myowarp.osim.body.skeleton import Bones
 
 
-@dataclass(frozen=True, eq=False)
-class Turned:
-    """Coordinates that fit orientations.
-
-    Attributes:
-        coordinates: Names of the independent coordinates.
-        time: [s], shape (frames,).
-        values: [rad] or [m], shape (frames, coordinates).
-        sensors: Names of those that the model has and that have a weight.
-        error: Angle to what was recorded [rad], NaN where nothing was, shape (frames, sensors).
-    """
-
-    coordinates: tuple[str, ...]
-    time: np.ndarray
-    values: np.ndarray
-    sensors: tuple[str, ...]
-    error: np.ndarray
-
-    def worst(self) -> list[tuple[str, float, float]]:
-        """Return name, root mean square and largest error [rad] of each sensor, the worst first."""
-        seen = np.isfinite(self.error)
-        square = np.where(seen, self.error, 0.0) ** 2
-        rms = np.sqrt(square.sum(axis=0) / np.maximum(seen.sum(axis=0), 1))
-        most = np.sqrt(square.max(axis=0))
-        return sorted(zip(self.sensors, rms.tolist(), most.tolist(), strict=True), key=lambda row: -row[1])
-
-
 def orientation_kinematics(
     bones: Bones, recorded: Orientations, weights: Mapping[str, float] | None = None
-) -> Turned:
+) -> Fitted:
     """Return the coordinates of each frame that turn the model's sensors as they were recorded.
 
     Args:
@@ -90,4 +62,4 @@ def orientation_kinematics(
         targets.orientation = wp.array(seen, dtype=wp.mat33d)
         out = fitted_values(bones, targets, bounds, len(seen))
         error = np.where(np.isfinite(seen).all(axis=(2, 3)), out["angles"].numpy(), np.nan)
-    return Turned(bones.coordinates, recorded.time, out["values"].numpy(), tuple(used), error)
+    return Fitted(bones.coordinates, recorded.time, out["values"].numpy(), tuple(used), error)

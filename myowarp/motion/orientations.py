@@ -16,13 +16,14 @@ from pathlib import Path
 
 import numpy as np
 
+from myowarp.disk import make_folder
 from myowarp.motion.headers import Header
 from myowarp.motion.setup_words import file_of
-from myowarp.motion.storage import Rows
+from myowarp.motion.storage import Rows, rows_between
 from myowarp.osim.body.scale_document import Document
 from myowarp.osim.document.kinematics import about, complete, forward
 from myowarp.osim.document.model import GROUND, Model
-from myowarp.osim.document.read.element import Element, parse
+from myowarp.osim.document.read.element import Element, parse, write
 
 SUFFIX = "_imu"
 """Of a sensor's name, after that of its body."""
@@ -54,12 +55,7 @@ class Orientations:
         Raises:
             ValueError: There is none.
         """
-        kept = (self.time >= start - 1e-9) & (self.time <= end + 1e-9)
-        if not kept.any():
-            raise ValueError(
-                f"no frame between {start:g} and {end:g} s; the orientations are from {self.time[0]:g} to "
-                f"{self.time[-1]:g} s"
-            )
+        kept = rows_between(self.time, start, end, "orientations are")
         return Orientations(self.names, self.time[kept], self.rotations[kept])
 
 
@@ -181,6 +177,15 @@ class Placed:
     heading: float = 0.0
     left: tuple[str, ...] = ()
 
+    def write(self, folder: Path) -> None:
+        """Write `placed.osim` into a folder, which is made.
+
+        Raises:
+            OSError: The file cannot be written.
+        """
+        make_folder(folder)
+        write(folder / "placed.osim", self.document.root)
+
 
 def place(document: Document, recorded: Orientations, placing: Placing) -> Placed:
     """Put frames of sensors into a model, by the first frame of a recording in its default pose.
@@ -219,11 +224,7 @@ def _base(model: Model) -> str:
 
 
 def _heading(model: Model, recorded: Orientations, placing: Placing, forwards: np.ndarray) -> float:
-    """Return the angle about the vertical from a sensor's axis to the x axis of the model's base [rad].
-
-    Raises:
-        ValueError: The sensor or its axis is unknown.
-    """
+    """Return the angle about the vertical from a sensor's axis to the x axis of the model's base [rad]."""
     axis = placing.heading.lower()
     if axis.lstrip("-+") not in AXES or len(axis) > 2:
         raise ValueError(f"the heading axis must be x, y or z, with a sign, got {placing.heading!r}")

@@ -18,8 +18,10 @@ from typing import Any
 
 import numpy as np
 
+from myowarp.disk import make_folder
 from myowarp.motion.inverse_kinematics import Fitted, inverse_kinematics
 from myowarp.motion.markers import Markers, read_trc
+from myowarp.motion.movement import write_angles
 from myowarp.motion.setup_words import Span, body_of, file_of, span_of
 from myowarp.motion.tasks import Tasks, tasks_of
 from myowarp.osim.body.scale_document import Document, scale_document, set_markers
@@ -47,7 +49,7 @@ class Measurement:
 
 
 @dataclass(frozen=True)
-class Setup:
+class ScaleSetup:
     """Contents of a set-up file of `ScaleTool`.
 
     Attributes:
@@ -84,7 +86,7 @@ class Scaled:
     """A model that became a person's.
 
     Attributes:
-        document: The model, which `write` writes.
+        document: The model.
         factors: By body, shape (3,).
         measured: By measurement: its factor, and for each pair the names, distance in the model and in the
             recording [m].
@@ -100,8 +102,32 @@ class Scaled:
     moved: dict[str, float]
     unknown: tuple[str, ...]
 
+    def write(self, folder: Path) -> None:
+        """Write `scaled.osim`, `scale_factors.xml`, OpenSim's `ScaleSet`, and, posed, `static.mot`.
 
-def read_setup(path: Path) -> Setup:
+        Raises:
+            ValueError: The folder cannot be made.
+            OSError: A file cannot be written.
+        """
+        make_folder(folder)
+        write(folder / "scaled.osim", self.document.root)
+        path = folder / "scale_factors.xml"
+        root = Element(path, "OpenSimDocument", {"Version": "40000"}, 1)
+        objects = Element(path, "objects", {}, 1)
+        for name, scales in self.factors.items():
+            one = Element(path, "Scale", {}, 1)
+            one.put_numbers("scales", scales)
+            one.put("segment", name)
+            one.put("apply", "true")
+            objects.children.append(one)
+        root.children.append(Element(path, "ScaleSet", {"name": "factors"}, 1, children=[objects]))
+        write(path, root)
+        if (pose := self.pose) is not None:
+            model = self.document.model
+            write_angles(folder / "static.mot", model, pose.coordinates, pose.time, pose.values)
+
+
+def read_setup(path: Path) -> ScaleSetup:
     """Read a set-up file of `ScaleTool`; files that it names are beside it.
 
     Raises:
@@ -128,7 +154,7 @@ def read_setup(path: Path) -> Setup:
     }
     if bad := [name for name, scales in manual.items() if (scales <= 0.0).any()]:
         raise scaler.error(f"must have factors above 0, got {manual[bad[0]]} for {bad[0]!r}")
-    return Setup(
+    return ScaleSetup(
         model=file_of(maker, "model_file"),
         markers=file_of(maker, "marker_set_file"),
         mass=mass if mass > 0.0 else None,
@@ -151,11 +177,7 @@ def _on(element: Element, empty: Element) -> bool:
 
 
 def _measurement(element: Element) -> Measurement:
-    """Return a measurement.
-
-    Raises:
-        ValueError: A pair has not two markers, or an axis is none.
-    """
+    """Return a measurement."""
     pairs = []
     for pair in element.objects("MarkerPairSet"):
         names = pair.string("markers").split()
@@ -216,7 +238,7 @@ def measure(model: Model, recorded: Markers, measurement: Measurement) -> Measur
     return float(np.mean([row[3] / row[2] for row in rows])), tuple(rows)
 
 
-def scale(source: Path, setup: Setup, static: Path | None = None, device: Any = "cpu") -> Scaled:
+def scale(source: Path, setup: ScaleSetup, static: Path | None = None, device: Any = "cpu") -> Scaled:
     """Scale a generic model to a person.
 
     Args:
@@ -311,21 +333,3 @@ def place_markers(
         )
         own.put_numbers("location", place)
     return Document(document.model.source, document.root), pose, moved
-
-
-def write_factors(path: Path, factors: Mapping[str, np.ndarray]) -> None:
-    """Write factors as OpenSim's `ScaleSet`.
-
-    Raises:
-        OSError: The file cannot be written.
-    """
-    root = Element(path, "OpenSimDocument", {"Version": "40000"}, 1)
-    objects = Element(path, "objects", {}, 1)
-    for name, scales in factors.items():
-        one = Element(path, "Scale", {}, 1)
-        one.put_numbers("scales", scales)
-        one.put("segment", name)
-        one.put("apply", "true")
-        objects.children.append(one)
-    root.children.append(Element(path, "ScaleSet", {"name": "factors"}, 1, children=[objects]))
-    write(path, root)

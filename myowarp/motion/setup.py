@@ -10,12 +10,15 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy as np
+
 from myowarp.osim.body.model_forces import without
 from myowarp.osim.body.skeleton import Bones
 from myowarp.osim.document.contacts import TYPES
 from myowarp.osim.document.kinematics import floating
 
 if TYPE_CHECKING:
+    from myowarp.motion.muscle_forces import Mode
     from myowarp.motion.tasks import Tasks
 
 EXPONENT = 2.0
@@ -39,13 +42,15 @@ class TrialSetup:
         span: First and last time [s], of which one may be infinite.
         fill: Longest gap of a marker that a spline bridges [s].
         tasks: Weights of markers and coordinates.
-        exponent: Of activations in the cost.
+        mode: What muscles can give, see `muscle_forces`.
+        exponent: Of activations in the cost; None: as `EXPONENT`.
         reserve: Force of a reserve at cost 1 on every coordinate [N m] or [N], in place of `reserves`.
         residual: The same on the coordinates that carry the model through space.
         reserves: The same of the actuators of a set-up file, by coordinate.
         unread: Actuators of other classes, which are left out.
         gains: Ways back to a motion that is tracked, by coordinate [1/s^2].
         controls: Least and greatest excitation of a motion that is tracked, by muscle [1].
+        strength: Factors on maximum isometric forces in a motion that is tracked, by muscle.
         contact: "opensim": contact forces of the model act beside the loads; None: they rest.
         excluded: Forces that inverse dynamics leaves out; None: the tool is another one.
         sources: Files that were read for this: the set-up file, and those that it is spread over.
@@ -63,6 +68,7 @@ class TrialSetup:
     span: tuple[float, float] | None = None
     fill: float | None = None
     tasks: Tasks | None = None
+    mode: Mode = "equilibrium"
     exponent: float | None = None
     reserve: float | None = None
     residual: float | None = None
@@ -70,6 +76,7 @@ class TrialSetup:
     unread: tuple[str, ...] = ()
     gains: Mapping[str, float] = field(default_factory=dict)
     controls: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    strength: Mapping[str, float] = field(default_factory=dict)
     contact: str | None = None
     excluded: tuple[str, ...] | None = None
     sources: tuple[Path, ...] = ()
@@ -95,6 +102,27 @@ class TrialSetup:
         if self.markers is None:
             raise ValueError("joint angles need recorded markers; give a .trc file with --markers FILE")
         return self.markers
+
+    @property
+    def angles(self) -> Path:
+        """The file of joint angles.
+
+        Raises:
+            ValueError: There is none.
+        """
+        if self.motion is None:
+            raise ValueError("this step needs joint angles; give a .mot or .sto file with --motion FILE")
+        return self.motion
+
+    @property
+    def whole(self) -> Self:
+        """The same set-up, of all of a motion."""
+        return replace(self, span=None)
+
+    def within(self, time: np.ndarray) -> tuple[float, float]:
+        """Return the first and the last time, where the set-up has none those of a motion [s]."""
+        begin, end = self.span or (-np.inf, np.inf)
+        return float(time[0] if np.isinf(begin) else begin), float(time[-1] if np.isinf(end) else end)
 
     def stating(self, **stated: Any) -> Self:
         """Return this with what a user states in place of what it has; None: nothing is stated."""

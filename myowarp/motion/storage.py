@@ -11,8 +11,8 @@ import csv
 import itertools
 import logging
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -20,7 +20,7 @@ from typing import IO, NoReturn, Self
 
 import numpy as np
 
-from myowarp.disk import in_place, naming
+from myowarp.disk import in_place, naming, write_rows
 from myowarp.motion.headers import Header, header_of, pair_of, whole_number
 from myowarp.osim.document.read.element import MAX_NUMBER, decoded, number_of
 
@@ -70,6 +70,7 @@ class Tables:
         self._open: dict[str, IO[str]] = {}
         self._left: dict[str, int] = {}
         self._removed: set[str] = set()
+        self._rows: dict[str, Sequence[Sequence[str]]] = {}
 
     def write(self, file: str, title: str, table: Storage, total: int | None = None) -> None:
         """Write a `.sto` or `.mot` file, or the next part of one.
@@ -100,6 +101,10 @@ class Tables:
             np.savetxt(self._open[file], numbers, fmt="%.9g", delimiter="\t")
             self._open[file].flush()
 
+    def write_rows(self, file: str, rows: Sequence[Sequence[str]]) -> None:
+        """Write a `.csv` file of words, in place of the one of the parts before."""
+        self._rows[file] = rows
+
     def remove(self, file: str) -> None:
         """Let a file of an earlier result go, when the others take their places."""
         self._removed.add(file)
@@ -119,18 +124,10 @@ class Tables:
                     raise RuntimeError(
                         f"{str(self.folder / file)!r} must have {left} rows more; write all parts"
                     )
+            for file, rows in self._rows.items():
+                write_rows(self.folder / file, rows)
         for file in self._removed:
             (self.folder / file).unlink(missing_ok=True)
-
-
-@contextmanager
-def tables_in(output: Path | Tables) -> Iterator[Tables]:
-    """Give the tables of a folder, or those that are open already, which stay open."""
-    if isinstance(output, Tables):
-        yield output
-        return
-    with Tables(output) as tables:
-        yield tables
 
 
 def write_storage(path: Path, title: str, table: Storage) -> None:
@@ -216,22 +213,14 @@ class Rows:
         self._read = 0
 
     def _text(self, lines: Sequence[str]) -> list[str]:
-        """Return lines as text, UTF-8 or else Latin-1, as models are read.
-
-        Raises:
-            ValueError: They are none.
-        """
+        """Return lines as text, UTF-8 or else Latin-1, as models are read."""
         whole = "".join(lines)
         if "\0" in whole:
             raise ValueError(f"{str(self.path)!r} is no text file in UTF-8 or Latin-1")
         return decoded(whole.encode("ascii", "surrogateescape"))[0].split("\n")
 
     def _head(self) -> Header:
-        """Read the lines before the rows.
-
-        Raises:
-            ValueError: They are not what they should be.
-        """
+        """Read the lines before the rows."""
         lines, ended = [], self._csv
         while not ended and (line := self._file.readline()):
             lines.append(line)
@@ -256,21 +245,13 @@ class Rows:
         return header
 
     def _once(self, what: str, names: Sequence[str]) -> None:
-        """Check that names differ.
-
-        Raises:
-            ValueError: They do not.
-        """
+        """Check that names differ."""
         if len(set(names)) < len(names):
             twice = next(name for name in names if names.count(name) > 1)
             raise ValueError(f"{str(self.path)!r} has the {what} {twice!r} twice")
 
     def _compare(self, name: str, stated: str, there: int, what: str, refused: bool) -> None:
-        """Refuse a count of the header that does not match, or say so where OpenSim does not go by it.
-
-        Raises:
-            ValueError: It is refused.
-        """
+        """Refuse a count of the header that does not match, or say so where OpenSim does not go by it."""
         if not stated or whole_number(stated) == there:
             return
         text = f"{str(self.path)!r} says {name}={stated} and has {there} {what}"
@@ -279,11 +260,7 @@ class Rows:
         logger.warning("%s", text)
 
     def _cells(self, line: str, count: int = 0) -> list[str]:
-        """Return the cells of a line, at least so many where that many are there.
-
-        Raises:
-            ValueError: It is no line of comma-separated values.
-        """
+        """Return the cells of a line, at least so many where that many are there."""
         if self._csv:
             try:
                 cells = next(csv.reader([line]), [])
@@ -301,11 +278,7 @@ class Rows:
         return cells
 
     def _numbers(self, lines: list[str]) -> np.ndarray:
-        """Return time and values of some lines.
-
-        Raises:
-            ValueError: A line has not one number for each column.
-        """
+        """Return time and values of some lines."""
         try:
             if self._csv:
                 lines = [line.rstrip().removesuffix("," * self._spare) or "," for line in lines]
@@ -319,11 +292,7 @@ class Rows:
         return table
 
     def _explain(self, lines: Sequence[str]) -> NoReturn:
-        """Say what is wrong with the first of some lines that is no row of numbers.
-
-        Raises:
-            ValueError: Always.
-        """
+        """Say what is wrong with the first of some lines that is no row of numbers."""
         labels = ("time", *self.header.labels)
         for number, line in enumerate(lines, self._read + 1):
             cells, where = self._cells(line, len(labels)), f"{self.WHAT} {number} of {str(self.path)!r}"
@@ -335,11 +304,7 @@ class Rows:
         raise ValueError(f"{self.WHAT}s from {self._read + 1} on of {str(self.path)!r} are no numbers")
 
     def _check_cells(self, number: int, cells: Sequence[str]) -> None:
-        """Check that the cells of the row of a number are numbers, or empty.
-
-        Raises:
-            ValueError: One is neither.
-        """
+        """Check that the cells of the row of a number are numbers, or empty."""
         for label, cell in zip(("time", *self.header.labels), cells, strict=False):
             try:
                 number_of(cell or "0")
@@ -351,11 +316,7 @@ class Rows:
                 ) from None
 
     def _within(self, table: np.ndarray) -> None:
-        """Check that numbers are finite, and that squares of them are.
-
-        Raises:
-            ValueError: One is not.
-        """
+        """Check that numbers are finite, and that squares of them are."""
         right = np.abs(table) < MAX_NUMBER
         if self._gaps and not right.all():
             right[:, 1:] |= np.isnan(table[:, 1:])
@@ -385,11 +346,7 @@ class Rows:
         return table
 
     def _ended(self, count: int) -> None:
-        """Compare the number of rows with what the header says, once.
-
-        Raises:
-            ValueError: It is another one, and OpenSim goes by it.
-        """
+        """Compare the number of rows with what the header says, once."""
         if not self._counted:
             self._counted = True
             self._compare(self.COUNT, self.header.rows, count, f"{self.WHAT}s", refused=self.header.counts)
@@ -450,6 +407,25 @@ def in_order(path: Path, what: str, table: np.ndarray) -> np.ndarray:
     if late := int((np.diff(time) < 0.0).sum()):
         logger.warning("%s: %ss are not in the order of their times, in %d places; sorted", path, what, late)
     return table[order]
+
+
+def within(time: np.ndarray, start: float, end: float) -> np.ndarray:
+    """Return which times are from `start` to `end` [s], both included."""
+    return np.asarray((time >= start - 1e-9) & (time <= end + 1e-9))
+
+
+def rows_between(time: np.ndarray, start: float, end: float, whose: str) -> np.ndarray:
+    """Return what `within` does; `whose` times they are, and its verb, is for the error.
+
+    Raises:
+        ValueError: There is none.
+    """
+    kept = within(time, start, end)
+    if not kept.any():
+        raise ValueError(
+            f"no frame between {start:g} and {end:g} s; the {whose} from {time[0]:g} to {time[-1]:g} s"
+        )
+    return kept
 
 
 def check_apart(path: Path, what: str, time: np.ndarray, number: np.ndarray) -> None:

@@ -81,7 +81,8 @@ class Stream(Rows):
         """Return how many rows there are, or of how many the times are in a span [s], before any is read.
 
         Raises:
-            ValueError: A time is no number, or there are not as many rows as the header says.
+            ValueError: A time is no number, there are not as many rows as the header says, or none in the
+                span.
         """
         begin, end = (-np.inf, np.inf) if span is None else (span[0] - 1e-9, span[1] + 1e-9)
         inside = total = 0
@@ -96,14 +97,14 @@ class Stream(Rows):
             total += 1
         self._ended(total)
         self._rewind()
-        return total if span is None else inside
+        if span is None:
+            return total
+        if not inside:
+            raise ValueError(f"no frame of {str(self.path)!r} is between {span[0]:g} and {span[1]:g} s")
+        return inside
 
     def _more(self, count: int) -> None:
-        """Read up to so many more rows.
-
-        Raises:
-            ValueError: A row is not what it should be, or a time is not after the one before.
-        """
+        """Read up to so many more rows."""
         rows = self.read(count)
         self._whole = not len(rows)
         time = np.concatenate([self._rows[-1:, 0], rows[:, 0]])

@@ -110,11 +110,7 @@ def _controls(path: Path | None) -> dict[str, tuple[float, float]]:
 
 
 def _span(tool: Element) -> Span | None:
-    """Return the range of time [s], None for all.
-
-    Raises:
-        ValueError: It is none.
-    """
+    """Return the range of time [s], None for all."""
     begin, end = TOOLS[tool.tag]
     if math.isinf(end):
         begin, end = span_of(tool, ALL)

@@ -66,11 +66,7 @@ class Angles:
         return columns | ({name: np.radians(x) for name, x in turning.items()} if table.in_degrees else {})
 
     def _check(self, table: Storage, turning: dict[str, np.ndarray]) -> None:
-        """Ask whether angles, as they stand in the file, can have the unit that it is read in.
-
-        Raises:
-            ValueError: The header does not decide, or its words and OpenSim's reading differ.
-        """
+        """Ask whether angles, as they stand in the file, can have the unit that it is read in."""
         path, unit = str(self.path), "degrees" if table.in_degrees else "radians"
         if table.unit not in ("", "degrees", "radians"):
             raise ValueError(f"{path!r} has inDegrees={table.unit}; it must be yes or no")

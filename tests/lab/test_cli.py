@@ -185,10 +185,10 @@ def test_help_of_a_step_is_its_own(run, monkeypatch, name):
     [
         *(
             ("forces", option)
-            for option in ("--strength", "--draws", "--markers", "--fill", "--emg", "--ray")
+            for option in ("--strength", "--draws", "--cpus", "--markers", "--fill", "--emg", "--ray")
         ),
-        *(("study", name) for name in ("--span", "--residual", "--motion")),
-        *(("dynamics", "--reserve"), ("analyze", "--loads")),
+        *(("study", name) for name in ("--span", "--residual", "--motion", "--strength")),
+        *(("dynamics", "--reserve"), ("emg", "--reserve"), ("analyze", "--loads")),
     ],
 )
 def test_options_of_other_steps_are_refused(run, tmp_path, step, option):

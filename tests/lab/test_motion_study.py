@@ -17,8 +17,9 @@ from myowarp.disk import SCRATCH  # noqa: E402
 from myowarp.motion.draws import Recording, Uncertainty, draw_trial, normal  # noqa: E402
 from myowarp.motion.inverse_kinematics import inverse_kinematics  # noqa: E402
 from myowarp.motion.markers import Markers, write_trc  # noqa: E402
+from myowarp.motion.movement import read_motion, write_angles  # noqa: E402
+from myowarp.motion.setup import TrialSetup  # noqa: E402
 from myowarp.motion.storage import Storage, read_storage, write_storage  # noqa: E402
-from myowarp.motion.trial import read_motion, write_angles  # noqa: E402
 from myowarp.osim.body.skeleton import Bones  # noqa: E402
 from myowarp.osim.document.read.model import read_model  # noqa: E402
 
@@ -31,7 +32,7 @@ def bend(mode="opensim"):
     """Return an arm that bends against gravity."""
     bones, time = Bones(read_model(ARM)), np.linspace(0.0, 1.0, 21)
     values = 0.6 + np.outer(np.sin(np.pi * time), [0.1, 0.5])
-    return Recording(bones, time, values, mode=mode)
+    return Recording(bones, time, values, TrialSetup(mode=mode))
 
 
 def of_draws(array, draws):
@@ -101,7 +102,8 @@ def test_noise_of_markers():
     bones, names = Bones(read_model(LEG)), tuple(there["markers"])
     markers = Markers(names, there["time"], there["seen"])
     fitted = inverse_kinematics(bones, markers)
-    trial = Recording(bones, fitted.time, fitted.values, markers, dict.fromkeys(names, 1.0))
+    weights = {"marker_weights": dict.fromkeys(names, 1.0)}
+    trial = Recording(bones, fitted.time, fitted.values, markers=markers, targets=weights)
     found = draw_trial(trial, Uncertainty(marker_noise=0.01), range(3), seed=1)
     noise = 0.01 * normal(1, 2, "marker_noise", *there["seen"].shape)
     alone = inverse_kinematics(bones, Markers(names, there["time"], there["seen"] + noise))
@@ -182,6 +184,7 @@ def test_a_study(table, capsys):
         ({"mass": "1e308"}, r"column 'mass': needs a number below 1e.15 in size, got '1e.*308'"),
         ({"filter": "inf"}, r"column 'filter': needs a number, got 'inf'"),
         ({"markers": "x.trc"}, "needs one of markers"),
+        ({"fill": 0.1}, r"row 1 .*, column 'fill': is of markers; leave it empty beside joint angles"),
         ({"model": None}, "column 'model': needs an .osim file, got nothing"),
         ({"trial": "../one"}, "a name has letters"),
         ({"trial": 300 * "x"}, "a name has letters, .*, and at most 200 bytes"),
@@ -211,6 +214,7 @@ def test_bad_tables_are_one_sentence(table, change, message):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
+        ({"seed": 3}, "--seed is of draws; give their number with --draws"),
         ({"exponent": float("nan")}, "--exponent must be at least 1 and finite, got nan"),
         ({"reserve": float("inf")}, "--reserve must be at least 0 and finite, got inf"),
         (

@@ -60,7 +60,7 @@ def test_the_notebook_of_a_motion_runs(tmp_path, monkeypatch, capsys):
             exec(compile("".join(cell["source"]), "arm_forces.ipynb", "exec"), names)
     assert names["off"].max() < 1.0
     assert names["off"].min() > 0.01, "markers are noisy"
-    assert names["found"].feasible.all()
-    assert names["found"].force.max() > 20.0
+    assert names["found"].solved.feasible.all()
+    assert names["found"].solved.force.max() > 20.0
     assert (tmp_path / "out/arm_trial/forces.png").stat().st_size > 10_000
     assert "frames that muscles hold: 200 of 200" in capsys.readouterr().out

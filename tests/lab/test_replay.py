@@ -7,11 +7,11 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
+from myowarp.motion.trial import read_motion
 
 from myowarp.apps.policies.replay import Replay
 from myowarp.kernels.action import excitation
 from myowarp.motion.storage import Storage, read_storage
-from myowarp.motion.trial import read_motion
 from myowarp.osim.body.skeleton import Bones
 
 DATA = Path(__file__).parents[1] / "data"

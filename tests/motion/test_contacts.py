@@ -10,8 +10,8 @@ import pytest
 
 from myowarp.apps.cli.motion.dynamics import Dynamics
 from myowarp.motion.inverse_dynamics import inverse_dynamics
+from myowarp.motion.movement import write_angles
 from myowarp.motion.storage import read_storage
-from myowarp.motion.trial import write_angles
 from myowarp.osim.body.contacts import contacts_along
 from myowarp.osim.body.model_forces import left_out, without
 from myowarp.osim.body.skeleton import Bones

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from myowarp.motion.trial import dynamics, forces, read_motion, write_angles
 
 from myowarp.motion.actuators import actuators_of
 from myowarp.motion.loads import prescribed_loads
 from myowarp.motion.smooth import derivatives
 from myowarp.motion.storage import read_storage
 from myowarp.motion.tracking import equations
-from myowarp.motion.trial import dynamics, forces, read_motion, write_angles
 from myowarp.osim.body.model_forces import left_out
 from myowarp.osim.body.muscle_paths import muscle_paths
 from myowarp.osim.body.skeleton import Bones

@@ -18,11 +18,13 @@ from myowarp.motion.draws import Recording, Uncertainty, draw_trial
 from myowarp.motion.inverse_dynamics import Load, inverse_dynamics
 from myowarp.motion.joint_reactions import joint_reactions
 from myowarp.motion.loads import prescribed_loads
+from myowarp.motion.movement import write_angles
 from myowarp.motion.muscle_forces import muscle_forces
+from myowarp.motion.setup import TrialSetup
 from myowarp.motion.smooth import derivatives
+from myowarp.motion.steps import dynamics, held_up
 from myowarp.motion.storage import read_storage
 from myowarp.motion.tracking import equations, track
-from myowarp.motion.trial import dynamics, held_up, read_motion, write_angles
 from myowarp.osim.body.model_forces import left_out, without
 from myowarp.osim.body.muscle_paths import muscle_paths
 from myowarp.osim.body.skeleton import Bones
@@ -240,7 +242,7 @@ def test_joint_reactions_have_what_acts_on_bodies(tmp_path):
 def test_draws_and_tracking_feel_springs(tmp_path):
     """A draw's moments are those of dynamics; a simulation is pushed by as much."""
     bones = arm(tmp_path, RECORDED["excluded of"])
-    recording = Recording(bones, TIME, VALUES, reserves=dict.fromkeys(bones.coordinates, 1.0))
+    recording = Recording(bones, TIME, VALUES, TrialSetup(reserve=1.0))
     drawn = draw_trial(recording, Uncertainty(), [0])
     theirs = np.array(RECORDED["moments"][RECORDED["excluded of"]])
     np.testing.assert_allclose(drawn.joint_moment[0], theirs, atol=TOLERANCE)
@@ -352,9 +354,10 @@ def test_a_motion_without_loads_says_what_carries_the_weight(tmp_path, caplog):
     up = bones.coordinates.index("pelvis_ty")
     values[:, up] += 0.02 * np.cos(4.0 * np.pi * time)
     write_angles(tmp_path / "motion.mot", bones.model, bones.coordinates, time, values)
-    motion = read_motion(tmp_path / "motion.mot", bones)
     with caplog.at_level(logging.WARNING, "myowarp"):
-        found = dynamics(bones, motion, tmp_path)
+        moments = dynamics(bones, TrialSetup(motion=tmp_path / "motion.mot"))
+    moments.write(tmp_path)
+    found = moments.needed
     mass = sum(body.mass for body in bones.model.bodies.values())
     most = mass * (np.linalg.norm(bones.model.gravity) + 0.02 * (4.0 * np.pi) ** 2)
     force = np.abs(found.joint_moment[:, up])

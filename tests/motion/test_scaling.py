@@ -186,3 +186,13 @@ def test_a_recording_is_needed(person):
     path.write_text(SETUP.read_text().replace("<marker_file>static.trc</marker_file>", ""))
     with pytest.raises(ValueError, match="give --markers FILE"):
         scale(DATA / "osim/leg6dof9musc.osim", read_setup(path))
+
+
+def test_markers_that_nothing_needs_are_refused(tmp_path, person):
+    """Of a set-up that neither measures nor poses."""
+    setup = tmp_path / "none.xml"
+    setup.write_text("<ScaleTool><MarkerPlacer><apply>false</apply></MarkerPlacer></ScaleTool>")
+    with pytest.raises(
+        ValueError, match=r"--markers measure or pose a person; '.*none\.xml' has neither, so"
+    ):
+        Scale(DATA / "osim/arm26.osim", setup=setup, markers=person, output=tmp_path / "out")()

@@ -11,9 +11,10 @@ from recordings import ANGLES, STILL, WALK, WEIGHTS, write_sensors
 
 from myowarp.apps.cli.motion.kinematics import Kinematics
 from myowarp.apps.cli.motion.place import Place
-from myowarp.motion import trial
 from myowarp.motion.orientation_kinematics import orientation_kinematics
 from myowarp.motion.orientations import Placing, axes_of_sensors, euler_of, place, read_orientations
+from myowarp.motion.setup import TrialSetup
+from myowarp.motion.steps import kinematics_of_sensors
 from myowarp.motion.storage import read_storage
 from myowarp.motion.tool_setup import read_tool_setup
 from myowarp.osim.body.scale_document import Document
@@ -130,7 +131,7 @@ def test_files_that_hold_no_quaternions(case, tmp_path):
     assert "\n" not in str(caught.value)
 
 
-def test_what_cannot_be_placed_or_followed(tmp_path):
+def test_what_cannot_be_placed_or_followed():
     document, recorded = Document(MODEL, parse(MODEL)[0]), read_orientations(STILL)
     with pytest.raises(
         ValueError, match=r"the recording has no base sensor 'torso_imu'; available: pelvis_imu"
@@ -145,7 +146,14 @@ def test_what_cannot_be_placed_or_followed(tmp_path):
     with pytest.raises(ValueError, match=r"the recording has no sensor 'foot_imu'"):
         orientation_kinematics(Bones(document.model), recorded, {"foot_imu": 1.0})
     with pytest.raises(ValueError, match=r"give --orientations FILE"):
-        trial.kinematics_of_sensors(Bones(document.model), tmp_path, trial.TrialSetup())
+        kinematics_of_sensors(Bones(document.model), TrialSetup())
+
+
+@pytest.mark.parametrize("option", ["fill", "marker_set"])
+def test_options_of_markers_are_refused(tmp_path, option):
+    message = f"--{option.replace('_', '-')} is of markers; leave it out where sensors are followed"
+    with pytest.raises(ValueError, match=message):
+        Kinematics(MODEL, orientations=WALK, output=tmp_path, **{option: 0.1})()
 
 
 def test_wrong_files_of_quaternions(tmp_path):

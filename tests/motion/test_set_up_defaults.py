@@ -12,10 +12,10 @@ from myowarp.motion.loads import loads_at, read_loads
 from myowarp.motion.markers import Markers, write_trc
 from myowarp.motion.scaling import read_setup, scale
 from myowarp.motion.setup import TrialSetup
+from myowarp.motion.steps import kinematics
 from myowarp.motion.storage import Storage, read_storage, write_storage
 from myowarp.motion.tasks import tasks_of
 from myowarp.motion.tool_setup import read_tool_setup
-from myowarp.motion.trial import kinematics
 from myowarp.osim.body.skeleton import Bones
 from myowarp.osim.document.read.element import parse
 
@@ -185,7 +185,7 @@ def test_no_tasks_are_all_markers(tmp_path):
     markers = Markers(names, np.arange(7) / 60, np.tile(np.array(seen), (7, 1, 1)))
     write_trc(tmp_path / "arm.trc", markers)
     setup = written(tmp_path, f"<InverseKinematicsTool>{TASKS}</InverseKinematicsTool>")
-    found = kinematics(bones, tmp_path / "arm.trc", tmp_path, setup)
+    found = kinematics(bones, read_tool_setup(setup).stating(markers=tmp_path / "arm.trc")).fitted
     angles = dict(zip(found.coordinates, np.degrees(found.values[0]), strict=True))
     np.testing.assert_allclose(
         [angles["r_elbow_flex"], angles["r_shoulder_elev"]], [19.567117, 9.79453502], atol=1e-3

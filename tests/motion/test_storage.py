@@ -11,8 +11,8 @@ from myowarp.apps.rollouts.recording import recording
 from myowarp.apps.rollouts.rollout import roll_out
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.definitions.task import TASKS
+from myowarp.motion.movement import read_motion
 from myowarp.motion.storage import Storage, read_storage, write_storage
-from myowarp.motion.trial import read_motion
 from myowarp.osim.body.skeleton import Bones
 
 ARM = Path(__file__).parents[1] / "data" / "osim" / "arm26.osim"

@@ -12,9 +12,9 @@ from myowarp.apps.cli.motion.forces import Forces
 from myowarp.apps.cli.motion.kinematics import Kinematics
 from myowarp.motion import streams
 from myowarp.motion.markers import Markers, write_trc
+from myowarp.motion.movement import marker_places, write_angles
 from myowarp.motion.storage import Storage, read_storage, write_storage
 from myowarp.motion.streams import Margin, Stream
-from myowarp.motion.trial import marker_places, write_angles
 from myowarp.osim.body.skeleton import Bones
 from myowarp.osim.document.read.model import read_model
 

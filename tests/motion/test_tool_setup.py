@@ -10,9 +10,9 @@ from myowarp.apps.cli.motion.dynamics import Dynamics
 from myowarp.apps.cli.motion.forces import Forces
 from myowarp.apps.cli.motion.kinematics import Kinematics
 from myowarp.motion.markers import Markers, read_trc, write_trc
+from myowarp.motion.movement import read_motion, write_angles
 from myowarp.motion.storage import Storage, read_storage, write_storage
 from myowarp.motion.tool_setup import read_tool_setup
-from myowarp.motion.trial import read_motion, write_angles
 from myowarp.osim.body.skeleton import Bones
 
 DATA = Path(__file__).parents[1] / "data"

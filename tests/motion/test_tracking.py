@@ -8,6 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from myowarp.apps.cli.motion.track import FILES, Track
+from myowarp.motion.movement import write_angles
 from myowarp.motion.storage import read_storage
 from myowarp.motion.tool_setup import read_tool_setup
 from myowarp.motion.tracking import (
@@ -24,7 +25,6 @@ from myowarp.motion.tracking import (
     gains_of,
     track,
 )
-from myowarp.motion.trial import write_angles
 from myowarp.osim.body.hill_muscle import HillMuscle
 from myowarp.osim.body.skeleton import Bones
 from myowarp.osim.document import dynamics

@@ -13,8 +13,8 @@ from myowarp.apps.cli.motion.kinematics import Kinematics
 from myowarp.apps.cli.motion.report import Report
 from myowarp.apps.cli.motion.steps import RENEWED
 from myowarp.motion.markers import Markers, write_trc
+from myowarp.motion.movement import read_motion, write_angles
 from myowarp.motion.storage import Storage, read_storage, write_storage
-from myowarp.motion.trial import read_motion, write_angles
 from myowarp.osim.body.skeleton import Bones
 from myowarp.osim.document.read.model import read_model
 

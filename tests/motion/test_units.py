@@ -12,9 +12,9 @@ import reader_cases as cases
 from myowarp.apps.cli.motion.dynamics import Dynamics
 from myowarp.apps.reports.motion import angles_of
 from myowarp.motion import streams
+from myowarp.motion.movement import read_motion, read_parts
 from myowarp.motion.storage import read_storage
 from myowarp.motion.streams import Margin, Stream
-from myowarp.motion.trial import read_motion, read_parts
 from myowarp.osim.body.skeleton import Bones
 
 DATA = Path(__file__).parents[1] / "data"

@@ -12,8 +12,10 @@ from full_disk import full_disk
 
 from myowarp.disk import SCRATCH, sweep
 from myowarp.motion import streams
+from myowarp.motion.results import written
+from myowarp.motion.setup import TrialSetup
+from myowarp.motion.steps import forces, moved_in_parts
 from myowarp.motion.storage import Storage, Tables, read_storage, write_storage
-from myowarp.motion.trial import forces, read_parts
 from myowarp.osim.body.skeleton import Bones
 
 ROOT = Path(__file__).parents[2]
@@ -45,9 +47,9 @@ def long_motion(folder, rows=700, bad=None):
 
 
 def solve(motion, bones, output):
-    with Tables(output) as tables:
-        for part in read_parts(motion, bones):
-            forces(bones, part, tables, reserves=dict.fromkeys(bones.coordinates, 1.0))
+    setup = TrialSetup(motion=motion, reserve=1.0)
+    for _ in written((forces(bones, setup, part) for part in moved_in_parts(bones, setup)), output):
+        pass
 
 
 def test_a_bad_row_at_the_end_leaves_nothing(tmp_path, monkeypatch):

@@ -35,8 +35,8 @@ def test_from_osim_and_trc_to_a_figure(tmp_path, monkeypatch):
     np.testing.assert_allclose(found, there["fitted"][:, knee], atol=2e-5)
     drawn = plt.gca().lines
     np.testing.assert_array_equal(
-        np.stack([line.get_ydata() for line in drawn], axis=1), names["found"].force
+        np.stack([line.get_ydata() for line in drawn], axis=1), names["found"].solved.force
     )
-    assert names["found"].force.max() > 50.0
+    assert names["found"].solved.force.max() > 50.0
     assert np.asarray(Image.open(tmp_path / "forces.png")).std() > 10.0
     plt.close("all")

@@ -16,8 +16,8 @@ from myowarp.apps.cli.options import Said, Trial
 from myowarp.apps.cli.record import Record
 from myowarp.apps.cli.view import View
 from myowarp.definitions.setup import Setup
+from myowarp.motion.movement import read_motion
 from myowarp.motion.storage import Storage, read_storage, write_storage
-from myowarp.motion.trial import read_motion
 from myowarp.osim.body.muscle_paths import muscle_paths
 from myowarp.osim.body.skeleton import Bones
 from myowarp.osim.document.kinematics import complete, forward

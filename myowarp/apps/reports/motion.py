@@ -166,7 +166,9 @@ def page(folder: Path, model: Model, motion: Path | None = None) -> str:
             on = {label for label, acts in zip(table.labels, acting, strict=True) if acts}
             table = among(table, on - set(root) if part is RESERVES and MOMENTS.file in tables else on)
         if table.labels:
-            sections.append(_section(part, table, [unit_of(part, label, model) for label in table.labels]))
+            sections.append(
+                _section(part, table, [unit_of(part.unit, label, model) for label in table.labels])
+            )
     bullets = "".join(f"<li{' class=bad' if bad else ''}>{escape(text)}</li>" for text, bad in findings)
     title = escape(f"A motion of {model.name}")
     return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
@@ -285,12 +287,26 @@ def _residual(root: Storage) -> tuple[str, bool]:
     return f"The greatest residual at the root is {label}: {number(value)} {unit} at {time:.3g} s.", False
 
 
-def unit_of(part: Part, label: str, model: Model) -> str:
-    """Return the unit of a column, of parts with forces beside moments, or places beside angles."""
-    turn, _, shift = part.unit.partition(", ")
-    if label in model.coordinates:
-        return turn if model.coordinates[label].rotational or not shift else shift
-    return shift if shift and label.endswith("_force") else turn
+def unit_of(unit: str, label: str, model: Model | None, in_degrees: bool = True) -> str:
+    """Return the unit of a column, "" where nothing tells it.
+
+    Args:
+        unit: That of the table, with one of forces behind that of moments, or of places behind that of
+            angles; "" where it is not known.
+        label: Of the column.
+        model: The model, whose coordinates may be in a table of angles.
+        in_degrees: Whether their angles are in degrees.
+    """
+    turn, _, shift = unit.partition(", ")
+    if model is not None and label in model.coordinates and turn in ("", "°"):
+        return ("°" if in_degrees else "rad") if model.coordinates[label].rotational else "m"
+    if found := REACTION.fullmatch(label):
+        return {"f": "N", "m": "N m", "p": "m"}[found["kind"]]
+    if turn == "°":
+        return shift if re.search(r"_t[xyz]$", label) else turn
+    if turn and not shift:
+        return turn
+    return {"_moment": "N m", "_force": "N"}.get(label[label.rfind("_") :], turn)
 
 
 def _section(part: Part, table: Storage, units: Sequence[str]) -> str:
@@ -328,13 +344,9 @@ def draw(part: Part, table: Storage, form: str = "png") -> bytes:
     for k in worst(table):
         quantities.setdefault(side_of(table.labels[k])[0], []).append(k)
     shown = list(quantities.items())[:DRAWN]
-    rows = -(-len(shown) // COLUMNS)
     with panel.style(7.5, **{"axes.titleweight": "bold"}):
-        figure = panel.blank(13.0, 0.5 + 1.35 * rows)
-        grid = figure.subplots(rows, COLUMNS, sharex=True, squeeze=False)
-        for axes in grid.ravel()[len(shown) :]:
-            axes.set_visible(False)
-        for axes, (name, columns) in zip(grid.ravel(), shown, strict=False):
+        figure, panels = panel.grid(len(shown), COLUMNS, 13.0, 1.35, 0.5, sharex=True)
+        for axes, (name, columns) in zip(panels, shown, strict=True):
             for k in columns:
                 _, color, dash = SIDES[side_of(table.labels[k])[1]]
                 axes.plot(table.time, part.scale * table.values[:, k], dash, color=color, linewidth=1.2)

@@ -18,6 +18,7 @@ from myowarp.apps.reports.motion import (
     name_sides,
     resultants,
     root_mean_square,
+    unit_of,
 )
 from myowarp.definitions.registry import check_choice
 from myowarp.inks import INKS
@@ -52,20 +53,6 @@ class Column(NamedTuple):
     values: np.ndarray
     component: bool = False
     """Of a joint reaction."""
-
-
-def unit_of(path: Path, table: Storage, label: str, model: Model | None) -> str:
-    """Return the unit of a column, "" where neither its name, nor the file's, nor the model tells it."""
-    if model is not None and label in model.coordinates:
-        return ("°" if table.in_degrees else "rad") if model.coordinates[label].rotational else "m"
-    if found := REACTION.fullmatch(label):
-        return {"f": "N", "m": "N m", "p": "m"}[found["kind"]]
-    turn, _, shift = UNITS.get(path.name, "").partition(", ")
-    if turn == "°":
-        return shift if re.search(r"_t[xyz]$", label) else turn
-    if turn and not shift:
-        return turn
-    return {"_moment": "N m", "_force": "N"}.get(label[label.rfind("_") :], turn)
 
 
 def scaled(unit: str, mass: float | None) -> tuple[float, str]:
@@ -125,12 +112,9 @@ def curves(
     panels = _panels(chosen, groups or {name: [name] for name in greatest}, size)
     grouped = any(names != [title] for title, names in panels.items())
     most_across, height = GROUPED if grouped else SINGLE
-    rows, across = -(-len(panels) // most_across), min(most_across, len(panels))
-    figure = panel.blank(WIDTH, 0.6 + height * rows)
-    grid = figure.subplots(rows, across, sharex=True, squeeze=False).ravel()
-    for axes in grid[len(panels) :]:
-        axes.set_visible(False)
-    for axes, (title, names) in zip(grid, panels.items(), strict=False):
+    across = min(most_across, len(panels))
+    figure, grid = panel.grid(len(panels), across, WIDTH, height, 0.6, sharex=True)
+    for axes, (title, names) in zip(grid, panels.items(), strict=True):
         kept = sorted(names, key=lambda name: -size[name])[: len(INKS)]
         colors = {} if names == [title] else dict(zip(kept, INKS, strict=False))
         for column in (column for column in found if column.name in kept):
@@ -145,7 +129,7 @@ def curves(
         axes.margins(x=0.0)
         if colors:
             _legend(axes, colors)
-    for axes in grid[max(0, len(panels) - across) : len(panels)]:  # the lowest of each column
+    for axes in grid[-across:]:  # the lowest of each column
         axes.tick_params(labelbottom=True)
     name_sides(figure, table.labels, panel.INK if grouped else None)
     figure.supxlabel("Time [s]" if cycles is None else "Cycle [%]", fontsize="medium")
@@ -158,10 +142,10 @@ def curves(
 def columns_of(path: Path, table: Storage, model: Model | None) -> list[Column]:
     """Return the columns of a table, and the resultants of joint reactions."""
     joints = resultants(table)
-    own = [
-        Column(*side_of(label), unit_of(path, table, label, model), values, bool(REACTION.fullmatch(label)))
-        for label, values in zip(table.labels, table.values.T, strict=True)
-    ]
+    own, known = list[Column](), UNITS.get(path.name, "")
+    for label, values in zip(table.labels, table.values.T, strict=True):
+        unit = unit_of(known, label, model, table.in_degrees)
+        own.append(Column(*side_of(label), unit, values, bool(REACTION.fullmatch(label))))
     return own + [
         Column(*side_of(label), "N", values)
         for label, values in zip(joints.labels, joints.values.T, strict=True)

@@ -63,6 +63,27 @@ def blank(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
+def grid(
+    count: int, across: int, width: float, height: float, head: float, **shared: Any
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure with so many panels, and these.
+
+    Args:
+        count: Of panels.
+        across: Panels beside each other.
+        width: Of the figure [in].
+        height: Of a row [in].
+        head: Above all rows [in].
+        shared: What else `Figure.subplots` takes.
+    """
+    rows = -(-count // across)
+    figure = blank(width, head + height * rows)
+    panels = list(figure.subplots(rows, across, squeeze=False, **shared).flat)
+    for axes in panels[count:]:
+        axes.set_visible(False)
+    return figure, panels[:count]
+
+
 def picture(figure: Figure, form: str, dpi: float = DPI) -> bytes:
     """Return a figure in a format of matplotlib's, such as png, svg or pdf; no date is in it."""
     from matplotlib.text import Text

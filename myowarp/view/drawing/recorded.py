@@ -17,8 +17,8 @@ import numpy as np
 
 from myowarp.motion.gait import gait_cycles
 from myowarp.motion.loads import loads_at
+from myowarp.motion.movement import read_motion
 from myowarp.motion.storage import Storage, read_storage
-from myowarp.motion.trial import read_motion
 from myowarp.osim.body.hill_muscle import HillMuscle
 from myowarp.osim.body.moment_arm import Poses, poses_of, stacked
 from myowarp.osim.body.path_solution import solve

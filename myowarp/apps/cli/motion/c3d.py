@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 
 import tyro
 
-from myowarp.apps.cli.motion.steps import OUT, Output, check_results, say_saved
-from myowarp.apps.cli.options import Overwrite, described, optional
-from myowarp.disk import make_folder
+from myowarp.apps.cli.motion import options as of
+from myowarp.apps.cli.motion.steps import check_results, say_saved
+from myowarp.apps.cli.options import described, optional
 
 FILES = "markers.trc", "grf.mot", "grf.xml", "analog.sto"
 
@@ -29,20 +29,19 @@ class C3d:
     """Body on which each force plate acts, for grf.xml, OpenSim's file of external loads."""
     names: Annotated[tuple[str, ...], optional("[OLD=NEW ...]")] = ()
     """New names of markers and channels, such as the muscle of an electromyogram."""
-    output: Output = OUT
-    overwrite: Overwrite = False
+    output: of.Output = of.OUT
+    overwrite: of.Overwrite = False
 
     def __call__(self) -> None:
         """Check, read, write."""
-        from myowarp.motion.c3d import read_c3d, write_recording
+        from myowarp.motion.c3d import read_c3d
 
         if wrong := [word for word in self.names if not all(word.partition("="))]:
             raise ValueError(f"--names takes OLD=NEW, such as EMG1=soleus_r, got {wrong[0]!r}")
         names = {old: new for old, _, new in (word.partition("=") for word in self.names)}
         check_results(self.output, FILES, self.overwrite)
         found = read_c3d(self.recording, self.up, names)
-        make_folder(self.output)
-        written = write_recording(self.output, found, self.plates)
+        written = found.write(self.output, self.plates)
         lines = [f"no markers, and left out: {', '.join(found.skipped)}"] if found.skipped else []
         if found.plates:
             lines.append(f"{len(found.plates)} force plates, which act at the middle of their corners")

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from myowarp.apps.cli.motion.steps import OUT, SHOWN, Model, Output, check_results, needed, say_saved
-from myowarp.apps.cli.options import Overwrite, optional
-from myowarp.disk import write_rows
+from myowarp.apps.cli.motion import options as of
+from myowarp.apps.cli.motion.said import of_emg
+from myowarp.apps.cli.motion.steps import check_results, needed, say_saved
+from myowarp.apps.cli.options import optional
 
 FILES = "emg.sto", "emg_agreement.csv", "emg.png"
 
@@ -20,17 +21,17 @@ class Emg:
     Example: myowarp motion emg gait.osim --emg emg.csv -o out/trial
     """
 
-    model: Model
+    model: of.Model
     emg: Annotated[Path | None, optional("FILE")] = None
     """Raw electromyograms over time, .sto, .mot or .csv."""
-    output: Output = OUT
-    overwrite: Overwrite = False
+    output: of.Output = of.OUT
+    overwrite: of.Overwrite = False
 
     def __call__(self) -> None:
         """Check, compare, write."""
         from myowarp.apps.reports.emg import draw_emg
-        from myowarp.motion.emg import agreement, envelopes
-        from myowarp.motion.storage import read_storage, write_storage
+        from myowarp.motion.emg import compare
+        from myowarp.motion.storage import read_storage
         from myowarp.osim.document.read.model import read_model
 
         source = needed(self.emg, "emg", "emg")
@@ -47,12 +48,7 @@ class Emg:
                 f"{str(path)!r} has the muscle {unknown[0]!r}, which the model {model.name!r} has not; give "
                 "the model that it was found with"
             )
-        envelope = envelopes(read_storage(source))
-        found = agreement(envelope, activation)
-        write_storage(self.output / "emg.sto", "envelopes of electromyograms", envelope)
-        rows = [(one.muscle, f"{one.delay:.3f}", f"{one.correlation:.4f}") for one in found]
-        write_rows(self.output / "emg_agreement.csv", [("muscle", "delay [s]", "correlation"), *rows])
-        draw_emg(self.output / "emg.png", envelope, activation, found)
-        lines = [f"{one.muscle}: correlation {one.correlation:.2f} at a delay of {1e3 * one.delay:.0f} ms"
-                 for one in found[:SHOWN]]  # fmt: skip
-        say_saved(lines, FILES, self.output)
+        found = compare(read_storage(source), activation)
+        found.write(self.output)
+        draw_emg(self.output / "emg.png", found)
+        say_saved(of_emg(found), FILES, self.output)

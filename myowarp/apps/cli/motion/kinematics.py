@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from myowarp.apps.cli.motion.steps import (
-    OUT,
-    SHOWN,
-    Model,
-    Output,
-    Span,
-    check_results,
-    needed,
-    say_saved,
-    setup_of,
-)
-from myowarp.apps.cli.options import Overwrite, optional
-from myowarp.disk import make_folder
+from myowarp.apps.cli.motion import options as of
+from myowarp.apps.cli.motion.said import of_markers, of_sensors
+from myowarp.apps.cli.motion.steps import check_results, needed, say_saved, setup_of
+from myowarp.apps.cli.options import optional
 
 FILES = "ik.mot", "marker_errors.sto", "gaps.csv"
 SENSOR_FILES = "ik.mot", "orientation_errors.sto"
@@ -32,7 +22,7 @@ class Kinematics:
     Example: myowarp motion kinematics gait.osim --markers walk.trc --setup ik.xml
     """
 
-    model: Model
+    model: of.Model
     markers: Annotated[Path | None, optional("FILE")] = None
     """Markers over time, .trc; by default those that the set-up file names."""
     orientations: Annotated[Path | None, optional("FILE")] = None
@@ -46,56 +36,29 @@ class Kinematics:
     """An OpenSim MarkerSet, in place of the model's markers of the same names."""
     fill: Annotated[float | None, optional("SECONDS")] = None
     """Gaps of markers up to so long are bridged by a spline; gaps.csv lists all."""
-    span: Span = None
-    output: Output = OUT
-    overwrite: Overwrite = False
+    span: of.Span = None
+    output: of.Output = of.OUT
+    overwrite: of.Overwrite = False
 
     def __call__(self) -> None:
         """Check, solve, write."""
-        import numpy as np
-
-        from myowarp.motion import trial
-        from myowarp.motion.inverse_kinematics import MarkerErrors
+        from myowarp.motion.results import written
+        from myowarp.motion.steps import kinematics_in_parts
         from myowarp.osim.body.skeleton import Bones
 
-        setup = setup_of(
-            self.setup,
-            markers=self.markers,
-            orientations=self.orientations,
-            span=self.span,
-            fill=self.fill,
-        )
-        if setup.orientations is not None:
+        setup = setup_of(self)
+        sensors = setup.orientations is not None
+        files: tuple[str, ...] = SENSOR_FILES if sensors else FILES
+        if sensors:
             if setup.markers is not None:
                 raise ValueError("motion kinematics takes --markers or --orientations, not both")
-            check_results(self.output, SENSOR_FILES, self.overwrite)
-            bones = Bones.read(self.model)
-            make_folder(self.output)
-            turned = trial.kinematics_of_sensors(bones, self.output, setup)
-            lines = [f"{name}: {np.degrees(rms):.1f} degrees rms, {np.degrees(most):.1f} degrees at most"
-                     for name, rms, most in turned.worst()[:SHOWN]]  # fmt: skip
-            say_saved(lines, SENSOR_FILES, self.output)
-            return
-        needed(setup.markers, "kinematics", "markers")
-        check_results(self.output, FILES, self.overwrite)
-        bones, fitted = Bones.read(self.model, markers=self.marker_set), MarkerErrors()
-        make_folder(self.output)
-        for part in trial.kinematics_in_parts(bones, self.output, setup):
-            fitted.add(part)
-        lines = gaps_in(self.output / "gaps.csv")
-        lines += [f"{marker}: {1e3 * rms:.1f} mm rms, {1e3 * most:.1f} mm at most"
-                  for marker, rms, most in fitted.worst()[:SHOWN]]  # fmt: skip
-        lines += [doubt] if (doubt := fitted.doubt()) else []
-        say_saved(lines, FILES, self.output)
-
-
-def gaps_in(path: Path) -> list[str]:
-    """Return the longest gaps of markers that were not filled, one line each."""
-    rows = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))[1:]
-    left = [row for row in rows if row[3] == "no"]
-    lines = [f"{name} was not seen from {first} to {last} s" for name, first, last, _ in left[:SHOWN]]
-    if filled := len(rows) - len(left):
-        lines.append(f"{filled} gaps were filled; gaps.csv lists all {len(rows)}")
-    elif len(left) > SHOWN:
-        lines.append(f"gaps.csv lists all {len(rows)}")
-    return lines
+            for name in ("fill", "marker_set"):
+                if getattr(self, name) is not None:
+                    option = name.replace("_", "-")
+                    raise ValueError(f"--{option} is of markers; leave it out where sensors are followed")
+        else:
+            needed(setup.markers, "kinematics", "markers")
+        check_results(self.output, files, self.overwrite)
+        bones = Bones.read(self.model, markers=self.marker_set)
+        found = written(kinematics_in_parts(bones, setup), self.output)
+        say_saved(of_sensors(found) if sensors else of_markers(found), files, self.output)

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-from myowarp.apps.cli.motion.steps import OUT, Model, Output, check_results, needed, say_saved
-from myowarp.apps.cli.options import Overwrite, optional
-from myowarp.disk import make_folder
+from myowarp.apps.cli.motion import options as of
+from myowarp.apps.cli.motion.steps import check_results, needed, say_saved
+from myowarp.apps.cli.options import optional
 
 FILES = ("placed.osim",)
 
@@ -20,14 +20,14 @@ class Place:
     Example: myowarp motion place gait.osim --setup placer.xml
     """
 
-    model: Model
+    model: of.Model
     orientations: Annotated[Path | None, optional("FILE")] = None
     """Orientations of sensors, .sto of quaternions; by default those that the set-up file names. The sensor
     femur_r_imu is on the body femur_r."""
     setup: Annotated[Path | None, optional("FILE")] = None
     """Set-up file of OpenSim's IMUPlacer: axes of the sensors' world, base sensor and its heading."""
-    output: Output = OUT
-    overwrite: Overwrite = False
+    output: of.Output = of.OUT
+    overwrite: of.Overwrite = False
 
     def __call__(self) -> None:
         """Check, place, write."""
@@ -35,15 +35,14 @@ class Place:
 
         from myowarp.motion.orientations import Placing, place, read_orientations
         from myowarp.osim.body.scale_document import Document
-        from myowarp.osim.document.read.element import parse, write
+        from myowarp.osim.document.read.element import parse
 
         placing = Placing() if self.setup is None else Placing.read(self.setup)
         placing = replace(placing, orientations=self.orientations or placing.orientations)
         recorded = read_orientations(needed(placing.orientations, "place", "orientations"))
         check_results(self.output, FILES, self.overwrite)
         placed = place(Document(self.model, parse(self.model)[0]), recorded, placing)
-        make_folder(self.output)
-        write(self.output / FILES[0], placed.document.root)
+        placed.write(self.output)
         lines = [f"on no body, and left out: {', '.join(placed.left)}"] if placed.left else []
         if placing.base:
             lines.append(f"heading turned by {np.degrees(placed.heading):.1f} degrees about the vertical")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from myowarp.apps.cli.motion.steps import OUT, Model, Output, Recorded, check_results, say_saved, write_page
-from myowarp.apps.cli.options import Overwrite
+from myowarp.apps.cli.motion import options as of
+from myowarp.apps.cli.motion.steps import check_results, say_saved, write_page
 
 FILES = ("report.html",)
 
@@ -17,10 +17,10 @@ class Report:
     Example: myowarp motion report gait.osim -o out/trial
     """
 
-    model: Model
-    motion: Recorded = None
-    output: Output = OUT
-    overwrite: Overwrite = False
+    model: of.Model
+    motion: of.Motion = None
+    output: of.Output = of.OUT
+    overwrite: of.Overwrite = False
 
     def __call__(self) -> None:
         """Check, draw, write."""

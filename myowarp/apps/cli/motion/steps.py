@@ -1,87 +1,29 @@
-"""Parts that steps of `myowarp motion` share: options, checks before work, a motion in parts, last words."""
+"""Work that steps of `myowarp motion` share: set-up, checks before it, a motion in parts, last words."""
 
 from __future__ import annotations
 
-import contextlib
 import importlib.util
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any
 
-import tyro
 from rich.console import Console
 
-from myowarp.apps.cli.options import UNSET, described
-from myowarp.disk import check_folder, check_overwrite, in_place, make_folder
+from myowarp.disk import check_folder, check_overwrite, in_place
 from myowarp.extras import to_install
 from myowarp.progress import patient_bar
 
 if TYPE_CHECKING:
-    from myowarp.motion.loads import Loads
+    from myowarp.apps.cli.motion.options import Along
+    from myowarp.motion.movement import Movement
+    from myowarp.motion.results import AlongMotion
     from myowarp.motion.setup import TrialSetup
-    from myowarp.motion.storage import Tables
-    from myowarp.motion.trial import Movement
+    from myowarp.motion.steps import Loaded
     from myowarp.osim.body.skeleton import Bones
 
-Model = Annotated[Path, tyro.conf.Positional, described("MODEL", "The model, .osim.")]
-Recorded = Annotated[Path | None, described("FILE", "Joint angles over time, .mot or .sto.", UNSET)]
-Loading = Annotated[Path | None, described("FILE", "OpenSim file of external loads.", UNSET)]
-ToolFile = Annotated[
-    Path | None,
-    described(
-        "FILE",
-        "Set-up file of OpenSim's tool: files, filter, times, exponent and reserves are taken from it, as far"
-        " as the step has them, unless they are given here.",
-        UNSET,
-    ),
-]
-FunctionPaths = Annotated[
-    Path | None,
-    described(
-        "FILE",
-        "Set of FunctionBasedPath, as Moco's, in place of the paths of the muscles that it names.",
-        UNSET,
-    ),
-]
-Contact = Annotated[
-    Literal["opensim"] | None,
-    described(
-        "opensim", "Contact forces of the model act, as OpenSim computes them; by default they rest.", UNSET
-    ),
-]
-Filter = Annotated[
-    float | None, described("HZ", "Frequency below which the motion is kept; by default all is.", UNSET)
-]
-Span = Annotated[
-    tuple[float, float] | None, described("START END", "First and last time [s]; by default all.", UNSET)
-]
-Mode = Annotated[
-    Literal["equilibrium", "opensim"],
-    described(
-        "{equilibrium,opensim}",
-        "What muscles can give; opensim: as its static optimisation, rigid tendons without passive force.",
-    ),
-]
-Exponent = Annotated[
-    float | None, described("FLOAT", "Of activations in the cost, at least 1; by default 2.", UNSET)
-]
-Reserve = Annotated[
-    float | None,
-    described(
-        "FLOAT",
-        "Moment of a reserve at cost 1 on every coordinate [N m, N]; by default those of the set-up file, or"
-        " none.",
-        UNSET,
-    ),
-]
-Residual = Annotated[
-    float | None,
-    described(
-        "FLOAT", "The same on coordinates that carry the model through space; by default --reserve.", UNSET
-    ),
-]
-Output = Annotated[Path, tyro.conf.arg(aliases=["-o"], help="Folder for the result.")]
-OUT = Path("out/motion")
+    Step = Callable[[Bones, TrialSetup, Loaded], AlongMotion]
 
 RENEWED = {
     "contact_forces.sto": "contact forces on ",
@@ -93,9 +35,6 @@ RENEWED = {
 
 PATIENCE = 5.0
 """Time after which a bar shows how far a motion is [s]."""
-
-SHOWN = 3
-"""The worst of what is listed."""
 
 
 def say(lines: Iterable[str]) -> None:
@@ -150,8 +89,12 @@ def _begins(path: Path, text: str) -> bool:
         return file.read(len(text.encode())) == text.encode()
 
 
-def setup_of(file: Path | None, **stated: Any) -> TrialSetup:
-    """Return how a trial is solved: what is stated, and else what a set-up file has.
+def setup_of(command: Any, **more: Any) -> TrialSetup:
+    """Return how a trial is solved: what a command states, and else what its set-up file has.
+
+    Args:
+        command: Its options bear the names of the set-up's fields, but for `filter`.
+        more: Fields that are not as an option has them.
 
     Raises:
         ValueError: The file is none, or a number is out of bounds.
@@ -160,20 +103,23 @@ def setup_of(file: Path | None, **stated: Any) -> TrialSetup:
     from myowarp.motion.setup import TrialSetup
     from myowarp.motion.tool_setup import read_tool_setup
 
-    return (TrialSetup() if file is None else read_tool_setup(file)).stating(**stated)
+    said = TrialSetup() if command.setup is None else read_tool_setup(command.setup)
+    stated = vars(command) | {"cutoff": getattr(command, "filter", None)} | more
+    names = [one.name for one in fields(TrialSetup) if one.name in stated]
+    return said.stating(**{name: stated[name] for name in names})
 
 
-def bones_of(model: Path, setup: TrialSetup, function_paths: Path | None = None) -> Bones:
-    """Return a model as a set-up has it, and say what it leaves out.
+def bones_of(command: Along, setup: TrialSetup) -> Bones:
+    """Return the model of a step along a motion as a set-up has it, and say what it leaves out.
 
     Raises:
         As `Bones.read`.
     """
     from myowarp.osim.body.skeleton import Bones
 
-    bones, lines = setup.model_of(
-        Bones.read(model, function_paths=function_paths, contact=setup.contact is not None)
-    )
+    acts = setup.contact is not None
+    read = Bones.read(command.model, function_paths=command.function_paths, contact=acts)
+    bones, lines = setup.model_of(read)
     say(lines)
     return bones
 
@@ -184,46 +130,53 @@ def absent_from(motion: Movement) -> list[str]:
 
 
 def along(
-    bones: Bones,
+    command: Along,
     setup: TrialSetup,
-    motion: Path,
-    output: Path,
-    solve: Callable[[Movement, Tables, Loads | None], object],
+    step: Step,
+    files: Iterable[str],
+    renewed: Iterable[str],
+    each: Callable[[Any], None] = lambda found: None,
 ) -> list[str]:
-    """Do a step along a motion, in parts where it is long; return what is to be said.
+    """Do a step along a motion, in parts where it is long, and write it; return what is to be said.
 
     Args:
-        bones: The model.
+        command: Its options.
         setup: Of the trial.
-        motion: Its joint angles.
-        output: Folder of the tables that `solve` writes.
-        solve: Does the step for a part of the motion.
+        step: Solves a part.
+        files: As `check_results` has them.
+        renewed: The same.
+        each: Is told what was found of each part.
 
     Raises:
         ValueError: A file is not what it should be.
         OSError: A file cannot be read or written.
     """
-    from myowarp.motion import trial
-    from myowarp.motion.loads import Loads
-    from myowarp.motion.storage import Tables
-    from myowarp.motion.streams import is_long
+    from myowarp.motion.results import written
 
-    make_folder(output)
     lines: list[str] = []
-    loads, advance = None, None
-    with contextlib.ExitStack() as stack:
-        if setup.loads is not None:
-            loads = stack.enter_context(contextlib.closing(Loads(setup.loads, forwards=is_long(motion))))
-        tables = stack.enter_context(Tables(output))
-        for part in trial.read_parts(motion, bones, setup.cutoff, setup.span):
-            if part.first == 0:
-                lines += absent_from(part)
-                frames = part.total or len(part.time)
-                advance = stack.enter_context(patient_bar("Motion", "frames", frames, patience=PATIENCE))
-            solve(part, tables, loads)
-            if advance is not None:
-                advance(len(part.time))
+    needed(setup.motion, step.__name__, "motion")
+    check_results(command.output, files, command.overwrite, renewed)
+    bones = bones_of(command, setup)
+    for found in written(_solved(bones, setup, step), command.output):
+        if not found.motion.first:
+            lines += absent_from(found.motion)
+        each(found)
     return lines
+
+
+def _solved(bones: Bones, setup: TrialSetup, step: Step) -> Iterator[AlongMotion]:
+    """Yield what a step finds of each part of a motion, and draw a bar where that takes long."""
+    from myowarp.motion.steps import moved_in_parts
+
+    with ExitStack() as stack:
+        advance: Callable[[int], None] | None = None
+        for part in moved_in_parts(bones, setup):
+            if advance is None:
+                frames = part.total or len(part.time)
+                bar = patient_bar("Motion", "frames", frames, patience=PATIENCE)
+                advance = stack.enter_context(bar)
+            yield step(bones, setup, part)
+            advance(len(part.time))
 
 
 def write_page(output: Path, model: Path, motion: Path | None) -> None:
@@ -242,9 +195,17 @@ def write_page(output: Path, model: Path, motion: Path | None) -> None:
         scratch.write_text(text, encoding="utf-8")
 
 
-def page_of(output: Path, model: Path, motion: Path) -> list[str]:
-    """Write the page where matplotlib is installed; return what is to be said."""
+def page_of(command: Along, motion: Path) -> list[str]:
+    """Write the page of a step along a motion, where it is short; return what is to be said.
+
+    Raises:
+        As `write_page`.
+    """
+    from myowarp.motion.streams import is_long
+
+    if is_long(motion):
+        return ["no page: the motion is too long for one"]
     if importlib.util.find_spec("matplotlib") is None:
         return [f"no page: it needs matplotlib; run {to_install('plot')}"]
-    write_page(output, model, motion)
+    write_page(command.output, command.model, motion)
     return []

@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from myowarp.apps.cli.motion.steps import OUT, Exponent, Mode, Output, Reserve
+from myowarp.apps.cli.motion import options as of
 from myowarp.apps.cli.options import optional
 from myowarp.definitions.registry import check_least
 
@@ -32,16 +32,16 @@ class Study:
     """Of each trial, besides the trial as it is."""
     seed: int = 0
     """Of the draws."""
-    mode: Mode = "equilibrium"
-    exponent: Exponent = None
-    reserve: Reserve = None
+    mode: of.Mode = "equilibrium"
+    exponent: of.Exponent = None
+    reserve: of.Reserve = None
     ray: bool = False
     """Solve parts over a Ray cluster; every node sees the table, its files and the output."""
     address: Annotated[str | None, optional("HOST:PORT")] = None
     """With --ray: head of a cluster, or auto; by default this machine alone."""
     cpus: Annotated[int | None, optional("INT")] = None
     """With --ray: cores of each part; by default 1."""
-    output: Output = OUT
+    output: of.Output = of.OUT
 
     def __call__(self) -> None:
         """Check, solve what is missing."""
@@ -50,6 +50,8 @@ class Study:
         for name in ("address", "cpus"):
             if getattr(self, name) is not None and not self.ray:
                 raise ValueError(f"--{name} belongs to a cluster; give it with --ray")
+        if self.seed and not self.draws:
+            raise ValueError("--seed is of draws; give their number with --draws")
         cpus = 1 if self.cpus is None else self.cpus
         check_least(1, cpus=cpus)
         console = Console(stderr=True, highlight=False, soft_wrap=True)

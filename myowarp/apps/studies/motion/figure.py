@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from myowarp.apps.reports.panel import band, blank, save, style
+from myowarp.apps.reports.panel import band, grid, save, style
 from myowarp.inks import BLUE
 
 SHOWN, COLUMNS = 24, 6
@@ -33,20 +33,16 @@ def draw_forces(
         return
     chosen = np.argsort(-lines[0].max(axis=0), kind="stable")[:SHOWN]
     columns = min(COLUMNS, len(chosen))
-    rows = -(-len(chosen) // columns)
     with style():
-        figure = blank(2.4 * columns, 1.7 * rows + 0.5)
-        grid = figure.subplots(rows, columns, squeeze=False, sharex=True)
-        for axes, k in zip(grid.flat, chosen, strict=False):
+        figure, panels = grid(len(chosen), columns, 2.4 * columns, 1.7, 0.5, sharex=True)
+        for axes, k in zip(panels, chosen, strict=True):
             middle, low, high = (lines[n if len(lines) > 1 else 0][:, k] for n in (0, 1, 2))
             band(axes, time, (low, middle, high), color=BLUE, linewidth=1.4)
             axes.set_title(muscles[k])
             axes.set_ylim(0.0, None)
-        for axes in grid.flat[len(chosen) :]:
-            axes.set_visible(False)
-        for axes in grid[-1]:
+        for axes in panels[(len(chosen) - 1) // columns * columns :]:
             axes.set_xlabel("Time [s]")
-        for axes in grid[:, 0]:
+        for axes in panels[::columns]:
             axes.set_ylabel("Force [N]")
         note = "; band: 90 % of the draws" if len(lines) > 1 else ""
         figure.suptitle(f"{trial}: forces of the strongest muscles{note}", x=0.01, ha="left")

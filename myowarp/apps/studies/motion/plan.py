@@ -16,9 +16,9 @@ from __future__ import annotations
 import hashlib
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
@@ -26,12 +26,12 @@ from typing import Any
 from myowarp.definitions.registry import check_least
 from myowarp.disk import files_digest, number_in
 from myowarp.motion.draws import Recording, Uncertainty, check_factors
-from myowarp.motion.inverse_kinematics import inverse_kinematics
-from myowarp.motion.loads import loads_at, prescribed_loads, read_loads
+from myowarp.motion.loads import Loads, read_loads
+from myowarp.motion.movement import read_motion
 from myowarp.motion.muscle_forces import Mode
-from myowarp.motion.setup import EXPONENT, TrialSetup
+from myowarp.motion.setup import TrialSetup
+from myowarp.motion.steps import acting, kinematics
 from myowarp.motion.tool_setup import read_tool_setup
-from myowarp.motion.trial import read_markers, read_motion, targets
 from myowarp.osim.body.skeleton import Bones
 from myowarp.osim.document.read.element import MAX_NUMBER
 from myowarp.process import warn_once
@@ -111,6 +111,29 @@ class Trial:
 
 
 @dataclass(frozen=True)
+class Piece:
+    """Draws of a trial that are solved together.
+
+    Attributes:
+        number: Of the piece in its study.
+        trial: The trial.
+        draws: Their numbers.
+        inputs: Digest of the trial.
+    """
+
+    number: int
+    trial: Trial
+    draws: range
+    inputs: str
+
+    @property
+    def keys(self) -> dict[str, list[Any]]:
+        """Columns that say what a part of the summary is."""
+        count = len(self.draws)
+        return {"trial": [self.trial.name] * count, "draw": list(self.draws), "inputs": [self.inputs] * count}
+
+
+@dataclass(frozen=True)
 class Study:
     """A table that was checked.
 
@@ -129,20 +152,21 @@ class Study:
     mode: Mode = "equilibrium"
     exponent: float | None = None
     reserve: float | None = None
-    columns: tuple[str, ...] = field(default=())
 
     def settings(self) -> dict[str, Any]:
         """Return what the results of all trials depend on."""
         names = "draws", "seed", "mode", "exponent", "reserve"
-        return {"trials": [trial.name for trial in self.trials]} | {
-            name: getattr(self, name) for name in names
-        }
+        own = {name: getattr(self, name) for name in names}
+        return {"trials": [trial.name for trial in self.trials], **own}
 
-    def pieces(self) -> Iterator[tuple[Trial, range]]:
-        """Yield trial and numbers of draws of each part."""
-        for trial in self.trials:
-            for begin in range(0, self.draws + 1, DRAWS):
-                yield trial, range(begin, min(begin + DRAWS, self.draws + 1))
+    def pieces(self) -> list[Piece]:
+        """Return all parts, those of a trial one after the other."""
+        inputs = self.inputs()
+        parts = [(trial, begin) for trial in self.trials for begin in range(0, self.draws + 1, DRAWS)]
+        return [
+            Piece(number, trial, range(begin, min(begin + DRAWS, self.draws + 1)), inputs[trial.name])
+            for number, (trial, begin) in enumerate(parts)
+        ]
 
     def inputs(self) -> dict[str, str]:
         """Return the digest of each trial; a file that several have is read once."""
@@ -179,7 +203,7 @@ def plan_study(table: Path, **settings: Any) -> Study:
     name, often = Counter(trial.name for trial in trials).most_common(1)[0]
     if often > 1:
         raise ValueError(f"motion table {str(table)!r} has the trial {name!r} twice; names differ")
-    study = Study(trials, columns=tuple(header), **settings)
+    study = Study(trials, **settings)
     TrialSetup(exponent=study.exponent, reserve=study.reserve)  # says what is out of bounds
     check_least(0, draws=study.draws, seed=study.seed)
     if (parts := len(trials) * (study.draws // DRAWS + 1)) > MOST:
@@ -191,11 +215,7 @@ def plan_study(table: Path, **settings: Any) -> Study:
 
 
 def _trial(folder: Path, header: list[str], row: list[Any], number: int) -> Trial:
-    """Return a row, checked.
-
-    Raises:
-        ValueError: An entry is wrong.
-    """
+    """Return a row, checked."""
     cells = {name: str(cell).strip() for name, cell in zip(header, row, strict=True)
              if cell is not None and str(cell).strip() not in ("", "nan", "<NA>")}  # fmt: skip
     name = cells.pop(TRIAL, str(number))
@@ -223,6 +243,9 @@ def _trial(folder: Path, header: list[str], row: list[Any], number: int) -> Tria
             )
     spread = {what: numbers.pop(column) for column, what in SPREADS.items() if column in numbers}
     own = {column: numbers.pop(column) for column in NUMBERS if column in numbers}
+    for column in ("marker_set", "fill"):
+        if "motion" in files and column in {**files, **own}:
+            raise ValueError(f"{where}, column {column!r}: is of markers; leave it empty beside joint angles")
     try:
         check_factors(numbers)
         return Trial(name, files, own, numbers, Uncertainty(**spread))
@@ -253,31 +276,23 @@ def recording_of(trial: Trial, study: Study) -> Recording:
         NotImplementedError: The model has something that is not supported.
         OSError: A file cannot be read.
     """
-    setup = trial.setup().stating(exponent=study.exponent, reserve=study.reserve)
-    bones, lines = setup.model_of(_bones(*_version(trial.files["model"]), trial.files.get("marker_set")))
+    said = trial.setup().stating(mode=study.mode, exponent=study.exponent, reserve=study.reserve)
+    bones, lines = said.model_of(_bones(*_version(trial.files["model"]), trial.files.get("marker_set")))
     for line in lines:
         warn_once(line)
-    how: dict[str, Any] = {
-        "cutoff": setup.cutoff,
-        "mode": study.mode,
-        "exponent": setup.exponent or EXPONENT,
-        "reserves": setup.reserves_of(bones) or None,
-        "factors": trial.factors,
-    }
-    if setup.motion is None:
-        _, recorded = read_markers(setup)
-        fit = targets(bones, setup, recorded)
-        fitted = inverse_kinematics(bones, recorded, **fit)
-        if doubt := fitted.doubt():
+    how: dict[str, Any] = {"setup": said, "factors": trial.factors}
+    if said.motion is None:
+        found = kinematics(bones, said)
+        if doubt := found.fitted.doubt():
             raise ValueError(doubt)
-        weights = fit.get("marker_weights") or {}
-        how |= {**fit, "markers": recorded}
-        how["marker_weights"] = {name: weights.get(name, 1.0) for name in fitted.markers}
-        time, known, values = fitted.time, fitted.time, fitted.values
+        weights = found.targets.get("marker_weights") or {}
+        own = {name: weights.get(name, 1.0) for name in found.fitted.names}
+        how |= {"markers": found.recorded, "targets": {**found.targets, "marker_weights": own}}
+        time = known = found.fitted.time
+        values = found.fitted.values
     else:
-        motion = read_motion(setup.motion, bones)
-        time = motion.time if setup.span is None else motion.between(*setup.span).time
+        motion = read_motion(said.motion, bones)
+        time = motion.time if said.span is None else motion.between(*said.span).time
         known, values = motion.time, motion.values
-    loads = [] if setup.loads is None else loads_at(setup.loads, time)
-    how["loads"] = [*loads, *prescribed_loads(bones, time)]
-    return Recording(bones, time, values, known=known, **how)
+    loads = acting(bones, None if said.loads is None else Loads(said.loads), time)
+    return Recording(bones, time, values, loads=loads, known=known, **how)

@@ -12,9 +12,10 @@ What is there is not done again, unless files or row of its trial changed.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,7 +25,7 @@ from rich.console import Console
 
 from myowarp.apps.studies.cluster import check_ray, connected, each
 from myowarp.apps.studies.motion.figure import draw_forces
-from myowarp.apps.studies.motion.plan import Study, Trial, plan_study, recording_of
+from myowarp.apps.studies.motion.plan import Piece, Study, plan_study, recording_of
 from myowarp.apps.studies.parts import LOCK, RESULTS, SUMMARY, agree, part, remove_damaged
 from myowarp.disk import check_folder, in_place, locked, make_folder, sentence, write_rows
 from myowarp.motion.draws import Drawn, Recording, draw_trial
@@ -88,26 +89,25 @@ def run(
         make_folder(output / folder)
     with locked(output / LOCK, wait=False):
         agree(output, "motion study", study.settings())
-        every, inputs = list(study.pieces()), study.inputs()
-        keys = [(trial.name, inputs[trial.name], draws) for trial, draws in every]
-        if damaged := remove_damaged(output, (_keys(*key) for key in keys)):
+        every = study.pieces()
+        if damaged := remove_damaged(output, (piece.keys for piece in every)):
             console.print(f"{damaged} parts in {output} are damaged or of other files, and done again")
-        missing = [k for k in range(len(every)) if not part(output, SUMMARY, k).exists()]
+        missing = [piece for piece in every if not part(output, SUMMARY, piece.number).exists()]
         failures: dict[str, str] = {}
         with progress_bar("Solving", "parts", console) as bar:
             task = bar.add_task("", total=len(every), completed=len(every) - len(missing))
-            wanted = [(k, *every[k], inputs[every[k][0].name]) for k in missing]
-            solved = (
-                _each(study, wanted, output) if cluster is None else _over(cluster, study, wanted, output)
-            )
-            for number, why in solved:
+            each_part: Callable[[Study, list[Piece], Path], Iterator[tuple[int, str]]]
+            each_part = _each if cluster is None else partial(_over, cluster)
+            for number, why in each_part(study, missing, output):
                 if why:
-                    failures.setdefault(every[number][0].name, why)
+                    failures.setdefault(every[number].trial.name, why)
                 else:
                     bar.advance(task)
-        done = [k for k, trial in enumerate(study.trials) if trial.name not in failures]
-        per = len(every) // len(study.trials)
-        folders = [spread(output, study.trials[k], range(per * k, per * (k + 1))) for k in done]
+        done = [trial for trial in study.trials if trial.name not in failures]
+        folders = [
+            spread(output, trial.name, [piece.number for piece in every if piece.trial is trial])
+            for trial in done
+        ]
         write_rows(output / "failed.csv", [("trial", "why"), *failures.items()])
     total = len(study.trials)
     console.print(
@@ -122,21 +122,14 @@ def run(
     return folders
 
 
-def _keys(name: str, inputs: str, draws: range) -> dict[str, list[Any]]:
-    """Return the columns that say what a part of the summary is."""
-    return {"trial": [name] * len(draws), "draw": list(draws), "inputs": [inputs] * len(draws)}
-
-
-def _each(
-    study: Study, missing: list[tuple[int, Trial, range, str]], output: Path
-) -> Iterator[tuple[int, str]]:
+def _each(study: Study, missing: list[Piece], output: Path) -> Iterator[tuple[int, str]]:
     """Do parts, on all cores; yield the number of each as it ends, and why it failed, "" if it did not."""
     with ThreadPoolExecutor(num_cores()) as pool:
         waiting: dict[Future[None], int] = {}
-        for _, group in groupby(missing, lambda one: one[1].name):
+        for _, group in groupby(missing, lambda piece: piece.trial.name):
             own = list(group)
-            reading = pool.submit(recording_of, own[0][1], study)
-            waiting |= {pool.submit(_solve_read, reading, study, output, *one): one[0] for one in own}
+            reading = pool.submit(recording_of, own[0].trial, study)
+            waiting |= {pool.submit(solve, reading.result, study, output, one): one.number for one in own}
         try:
             for future in as_completed(waiting):
                 error = future.exception()
@@ -147,60 +140,39 @@ def _each(
             pool.shutdown(cancel_futures=True)
 
 
-def _over(
-    cluster: Cluster, study: Study, missing: list[tuple[int, Trial, range, str]], output: Path
-) -> Iterator[tuple[int, str]]:
+def _over(cluster: Cluster, study: Study, missing: list[Piece], output: Path) -> Iterator[tuple[int, str]]:
     """Do parts over a cluster; yield as `_each` does."""
     if not missing:
         return
-    own = [(str(one[0]), (study, output, *one)) for one in missing]
+    own = [(str(piece.number), (study, output, piece)) for piece in missing]
     with connected(cluster.address, output):
         for name, _, why in each(solve_there, own, folder=output, cpus=cluster.cpus):
             yield int(name), why
 
 
-class _Last:
-    """The trial that a worker has read last: its parts follow each other."""
-
-    def __init__(self) -> None:
-        self._key = ""
-        self._recording: Recording | None = None
-
-    def of(self, trial: Trial, study: Study, inputs: str) -> Recording:
-        """Return a trial, read where it is another one than the last."""
-        if self._recording is None or self._key != inputs:
-            self._key, self._recording = inputs, recording_of(trial, study)
-        return self._recording
+_last: dict[str, Recording] = {}
+"""The trial that a worker has read last, by its digest: its parts follow each other."""
 
 
-_recordings = _Last()
-
-
-def solve_there(study: Study, output: Path, index: int, trial: Trial, draws: range, inputs: str) -> None:
+def solve_there(study: Study, output: Path, piece: Piece) -> None:
     """Solve a part of a trial and write it; on a node.
 
     Raises:
         As `solve`.
     """
-    if not part(output, SUMMARY, index).exists():
-        solve(_recordings.of(trial, study, inputs), study, output, index, trial, draws, inputs)
+
+    def reading() -> Recording:
+        if piece.inputs not in _last:
+            _last.clear()
+            _last[piece.inputs] = recording_of(piece.trial, study)
+        return _last[piece.inputs]
+
+    if not part(output, SUMMARY, piece.number).exists():
+        solve(reading, study, output, piece)
 
 
-def _solve_read(reading: Future[Recording], *rest: Any) -> None:
-    """Solve a part of a trial that is being read."""
-    solve(reading.result(), *rest)
-
-
-def solve(
-    recording: Recording,
-    study: Study,
-    output: Path,
-    index: int,
-    trial: Trial,
-    draws: range,
-    inputs: str,
-) -> None:
-    """Solve a part of a trial and write it; its files are read once, before.
+def solve(reading: Callable[[], Recording], study: Study, output: Path, piece: Piece) -> None:
+    """Solve a part of a trial and write it; `reading` returns the trial, whose files are read once.
 
     Raises:
         ValueError: The trial is not what it should be.
@@ -209,15 +181,15 @@ def solve(
     """
     import pandas as pd
 
+    recording, tables = reading(), []
     few = max(1, FRAMES // len(recording.time))
-    tables = []
-    for begin in range(0, len(draws), few):
-        found = draw_trial(recording, trial.uncertain, draws[begin : begin + few], study.seed)
-        tables.append(
-            (_results(trial.name, recording, found), _summary(trial.name, inputs, recording, found))
-        )
+    for begin in range(0, len(piece.draws), few):
+        draws = piece.draws[begin : begin + few]
+        found = draw_trial(recording, piece.trial.uncertain, draws, study.seed)
+        keys = replace(piece, draws=draws).keys
+        tables.append((_results(piece.trial.name, recording, found), _summary(keys, recording, found)))
     for folder, frames in zip((RESULTS, SUMMARY), zip(*tables, strict=True), strict=True):
-        with in_place(part(output, folder, index)) as scratch:
+        with in_place(part(output, folder, piece.number)) as scratch:
             pd.concat(frames, ignore_index=True).to_parquet(scratch, index=False)
 
 
@@ -244,7 +216,7 @@ def _results(name: str, recording: Recording, found: Drawn) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def _summary(name: str, inputs: str, recording: Recording, found: Drawn) -> pd.DataFrame:
+def _summary(keys: dict[str, list[Any]], recording: Recording, found: Drawn) -> pd.DataFrame:
     """Return one row for each draw: how well it fits, and what muscles cannot do."""
     import pandas as pd
 
@@ -252,7 +224,7 @@ def _summary(name: str, inputs: str, recording: Recording, found: Drawn) -> pd.D
     shape = count, len(recording.time), -1
     force = forces.force.reshape(shape)
     columns: dict[str, Any] = {
-        **_keys(name, inputs, range(int(found.draws[0]), int(found.draws[-1]) + 1)),
+        **keys,
         "marker_rms": found.marker_rms,
         "feasible_share": forces.feasible.reshape(count, -1).mean(axis=1),
         "most_missing": np.abs(forces.missing.reshape(shape)).max(axis=(1, 2)),
@@ -262,11 +234,11 @@ def _summary(name: str, inputs: str, recording: Recording, found: Drawn) -> pd.D
     return pd.DataFrame(columns | peaks)
 
 
-def spread(output: Path, trial: Trial, parts: range) -> Path:
+def spread(output: Path, trial: str, parts: list[int]) -> Path:
     """Write the trial as it is and the ends of its intervals, and draw its forces; return its folder."""
     from pyarrow import parquet
 
-    folder = output / "trials" / trial.name
+    folder = output / "trials" / trial
     make_folder(folder)
     files = [part(output, RESULTS, k) for k in parts]
     keys = [parquet.read_table(file, columns=["draw", "time"]) for file in files]
@@ -286,5 +258,5 @@ def spread(output: Path, trial: Trial, parts: range) -> Path:
         for end, rows in found.items():
             write_storage(folder / f"{file_name}{end}.sto", title, Storage(labels, time, rows))
         if what == "force":
-            draw_forces(folder / "forces.png", trial.name, labels, time, list(found.values()))
+            draw_forces(folder / "forces.png", trial, labels, time, list(found.values()))
     return folder

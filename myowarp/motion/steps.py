@@ -1,0 +1,371 @@
+"""Steps of a trial: functions of a model and a set-up, which read its files and return what they find.
+
+Nothing is written here; results write themselves (`results`). A step takes the whole motion of the set-up, or
+a part of it from `moved_in_parts` where the motion is too long for memory.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from myowarp.motion.actuators import Actuators, actuators_of
+from myowarp.motion.inverse_dynamics import Load, Needed, inverse_dynamics
+from myowarp.motion.inverse_kinematics import inverse_kinematics
+from myowarp.motion.joint_reactions import joint_reactions
+from myowarp.motion.loads import Loads, prescribed_loads
+from myowarp.motion.markers import Markers, MarkerStream, read_trc
+from myowarp.motion.metabolic_power import metabolic_power
+from myowarp.motion.movement import Movement, read_motion, read_parts
+from myowarp.motion.muscle_forces import MuscleForces, muscle_forces, rigid_capacity
+from myowarp.motion.orientation_kinematics import orientation_kinematics
+from myowarp.motion.orientations import axes_of_sensors, read_orientations
+from myowarp.motion.results import (
+    Gaps,
+    JointAngles,
+    JointMoments,
+    MotionForces,
+    MuscleAnalysis,
+    TrackedMotion,
+)
+from myowarp.motion.setup import EXPONENT, TrialSetup
+from myowarp.motion.streams import Margin, is_long
+from myowarp.motion.tracking import track as simulate
+from myowarp.osim.body.hill_muscle import HillMuscle, known
+from myowarp.osim.body.muscle_paths import MusclePaths, muscle_paths
+from myowarp.osim.body.skeleton import Bones
+from myowarp.osim.document.kinematics import floating
+
+HELD = 0.05
+"""Share of the weight that a root may give without external loads, unsaid."""
+
+logger = logging.getLogger("myowarp")
+
+
+def kinematics(bones: Bones, setup: TrialSetup) -> JointAngles:
+    """Find the joint angles of recorded markers, or of recorded orientations of sensors.
+
+    Args:
+        bones: The model; with a frame of the name of each sensor.
+        setup: With a file of markers or of orientations; those without a weight do not count.
+
+    Raises:
+        ValueError: A file is missing or not what it should be, or the model has no frame of a sensor.
+        OSError: A file cannot be read.
+    """
+    return next(_angles(bones, setup, whole=True))
+
+
+def kinematics_in_parts(bones: Bones, setup: TrialSetup) -> Iterator[JointAngles]:
+    """Do what `kinematics` does, and yield joint angles of markers by parts; each begins at the one before.
+
+    Raises:
+        As `kinematics`.
+    """
+    return _angles(bones, setup, whole=False)
+
+
+def _angles(bones: Bones, setup: TrialSetup, whole: bool) -> Iterator[JointAngles]:
+    if setup.orientations is not None:
+        yield kinematics_of_sensors(bones, setup)
+        return
+    held, gaps, start = _held(bones, setup), Gaps(), None
+    for seen, recorded, total in _marker_parts(setup, whole):
+        gaps = gaps.after(seen, recorded)
+        wanted = _targets(bones, setup, held, recorded)
+        fitted = inverse_kinematics(bones, recorded, **wanted, start=start)
+        start = dict(zip(fitted.coordinates, fitted.values[-1], strict=True))
+        yield JointAngles(bones, fitted, recorded, wanted, gaps, total)
+
+
+def _marker_parts(setup: TrialSetup, whole: bool) -> Iterator[tuple[Markers, Markers, int | None]]:
+    """Yield the markers of a file in parts: as they were seen, with gaps filled, and the frames of all."""
+    path, span, fill = setup.recording, setup.span, setup.fill
+    if whole or not is_long(path):
+        seen = read_trc(path)
+        recorded = seen if fill is None else seen.filled(fill)
+        if span is not None:
+            seen, recorded = seen.between(*span), recorded.between(*span)
+        yield seen, recorded, None
+        return
+    begin, end = span or (-np.inf, np.inf)
+    with MarkerStream(path) as stream:
+        total = stream.count(span)
+        for table, own in stream.parts(Margin(seconds=2.0 * (fill or 0.0))):
+            seen = stream.placed(table)
+            recorded = seen if fill is None else seen.filled(fill)
+            inside = [max(begin, seen.time[own][0]), min(end, seen.time[own][-1])]
+            if inside[0] <= inside[1]:
+                yield seen.between(*inside), recorded.between(*inside), total
+
+
+def _held(bones: Bones, setup: TrialSetup) -> Movement | None:
+    """Return the joint angles that coordinates of a set-up should have; None: they have none of a file."""
+    tasks, path = setup.tasks, setup.coordinates
+    if tasks is None and setup.file is not None:
+        raise ValueError(
+            f"{str(setup.file)!r} has no <IKMarkerTask>; a set-up file of inverse kinematics or scaling has"
+        )
+    if tasks is None or not tasks.recorded:
+        return None
+    if path is None:
+        raise ValueError(
+            f"{str(setup.file)!r} has coordinates whose values are in a file, and names no <coordinate_file>"
+        )
+    held = read_motion(path, bones)
+    unknown = [name for name in tasks.recorded if name in held.absent or name not in bones.coordinates]
+    if unknown:
+        raise ValueError(f"{str(path)!r} has no column of the coordinate {unknown[0]!r}")
+    return held
+
+
+def _targets(bones: Bones, setup: TrialSetup, held: Movement | None, recorded: Markers) -> dict[str, Any]:
+    """Return what a pose fits, as `inverse_kinematics` takes it: weights, and wanted values."""
+    tasks, time = setup.tasks, recorded.time
+    if tasks is None:
+        return {}
+    values: dict[str, float | np.ndarray] = {**tasks.values}
+    if held is not None:
+        if time[0] < held.time[0] - 1e-6 or time[-1] > held.time[-1] + 1e-6:
+            raise ValueError(
+                f"{str(setup.coordinates)!r} is from {held.time[0]:g} to {held.time[-1]:g} s; the markers "
+                f"are from {time[0]:g} to {time[-1]:g} s"
+            )
+        for name in tasks.recorded:
+            values[name] = np.interp(time, held.time, held.values[:, bones.coordinates.index(name)])
+    return {
+        "marker_weights": tasks.among(recorded.names),
+        "coordinate_weights": tasks.coordinates,
+        "coordinate_values": values,
+    }
+
+
+def kinematics_of_sensors(bones: Bones, setup: TrialSetup) -> JointAngles:
+    """Find the joint angles of recorded orientations, see `kinematics`."""
+    if setup.orientations is None:
+        raise ValueError("joint angles of sensors need a file of quaternions; give --orientations FILE")
+    recorded = read_orientations(setup.orientations).turned(axes_of_sensors(setup.sensor_angles))
+    if setup.span is not None:
+        recorded = recorded.between(*setup.span)
+    return JointAngles(bones, orientation_kinematics(bones, recorded, setup.sensor_weights))
+
+
+@dataclass(frozen=True, eq=False)
+class Loaded(Movement):
+    """A motion, or a part of one, under loads.
+
+    Attributes:
+        loads: Returns at some times [s] the loads from outside, and what forces of the model prescribe.
+    """
+
+    loads: Callable[[np.ndarray], list[Load]] = field(kw_only=True)
+
+
+def moved(bones: Bones, setup: TrialSetup) -> Loaded:
+    """Return the whole motion of a set-up.
+
+    Raises:
+        ValueError: The set-up has no joint angles, or a file is not what it should be.
+        OSError: A file cannot be read.
+    """
+    known = None if setup.loads is None else Loads(setup.loads)
+    motion = read_motion(setup.angles, bones, setup.cutoff)
+    return _loaded(bones, motion if setup.span is None else motion.between(*setup.span), known)
+
+
+def moved_in_parts(bones: Bones, setup: TrialSetup) -> Iterator[Loaded]:
+    """Yield the motion of a set-up, in parts where it is long.
+
+    Raises:
+        As `moved`.
+    """
+    with ExitStack() as stack:
+        known = None
+        if setup.loads is not None:
+            known = stack.enter_context(closing(Loads(setup.loads, forwards=is_long(setup.angles))))
+        for part in read_parts(setup.angles, bones, setup.cutoff, setup.span):
+            yield _loaded(bones, part, known)
+
+
+def _loaded(bones: Bones, motion: Movement, known: Loads | None) -> Loaded:
+    return Loaded(**vars(motion), loads=partial(acting, bones, known))
+
+
+def acting(bones: Bones, known: Loads | None, times: np.ndarray) -> list[Load]:
+    """Return the loads from outside at some times [s], where there are any, and those of the model."""
+    return [*(() if known is None else known.at(times)), *prescribed_loads(bones, times)]
+
+
+def dynamics(bones: Bones, setup: TrialSetup, part: Loaded | None = None) -> JointMoments:
+    """Find the joint moments that a motion takes under its loads.
+
+    Args:
+        bones: The model.
+        setup: With files of joint angles and, as it may be, of external loads.
+        part: A part of the motion; None: all of it.
+
+    Raises:
+        ValueError: A file is not what it should be.
+        OSError: A file cannot be read.
+    """
+    motion = part or moved(bones, setup)
+    loads = motion.loads(motion.time)
+    needed = inverse_dynamics(bones, *motion.moved, loads)
+    held = "" if loads else held_up(bones, motion.time, needed.joint_moment)
+    if held and not motion.first:
+        logger.warning("%s", held)
+    return JointMoments(bones, motion, needed, held)
+
+
+def held_up(bones: Bones, time: np.ndarray, moment: np.ndarray) -> str:
+    """Return what stands for the weight at a root without external loads; "": less than `HELD` of it.
+
+    Args:
+        bones: The model.
+        time: [s], shape (frames,).
+        moment: What the motion takes along independent coordinates [N m] or [N], shape (frames, coordinates).
+    """
+    model = bones.model
+    weight = sum(body.mass for body in model.bodies.values()) * float(np.linalg.norm(model.gravity))
+    slides = [name for name in floating(model) if not model.coordinates[name].rotational]
+    roots = list(dict.fromkeys(model.coordinates[name].joint for name in slides))
+    forces = [
+        np.linalg.norm(moment[:, [bones.coordinates.index(name) for name in slides
+                                  if model.coordinates[name].joint == root]], axis=1)
+        for root in roots
+    ]  # fmt: skip
+    if not roots or not np.max(forces) > HELD * weight:
+        return ""
+    root, frame = np.unravel_index(int(np.argmax(forces)), np.shape(forces))
+    body = model.joints[roots[int(root)]].child
+    worst = f"{np.max(forces):.0f} N at the {body}, at {time[frame]:.4g} s"
+    return f"no external loads: {worst}, carry the weight"
+
+
+def analyze(bones: Bones, setup: TrialSetup, part: Loaded | None = None) -> MuscleAnalysis:
+    """Follow the muscles along a motion.
+
+    Args:
+        bones: The model.
+        setup: With a file of joint angles.
+        part: A part of the motion; None: all of it.
+
+    Raises:
+        ValueError: A file is not what it should be, or the model has no muscle.
+        OSError: A file cannot be read.
+    """
+    motion = part or moved(bones, setup)
+    paths = muscle_paths(bones, motion.values, motion.speeds)
+    active, passive = np.zeros_like(paths.length), np.zeros_like(paths.length)
+    for i, name in enumerate(paths.muscles):
+        muscle = known(HillMuscle.of(bones.model.muscles[name]))[0]
+        length, velocity = paths.length[:, i], paths.velocity[:, i]
+        active[:, i] = rigid_capacity(muscle, length, velocity)
+        passive[:, i] = muscle.values["max_isometric_force"] * muscle.tendon_force(0.0, length, velocity)
+    return MuscleAnalysis(bones, motion, paths, active, passive, inverse_dynamics(bones, *motion.moved))
+
+
+def forces(bones: Bones, setup: TrialSetup, part: Loaded | None = None) -> MotionForces:
+    """Find the forces of muscles and motors that give a motion's moments at the least cost.
+
+    Args:
+        bones: The model.
+        setup: With a file of joint angles; loads, mode, exponent and reserves as it may be.
+        part: A part of the motion; None: all of it.
+
+    Raises:
+        ValueError: A file is not what it should be, or the model has no muscle.
+        OSError: A file cannot be read.
+    """
+    motion = part or moved(bones, setup)
+    paths = muscle_paths(bones, motion.values, motion.speeds)
+    moments = dynamics(bones, setup, motion)
+    actuators = actuators_of(bones, motion.values)
+    found = least_forces(bones, setup, paths, moments.needed, actuators)
+    burnt = metabolic_power(bones.model, found, paths, bones.device)
+    tension, under = dict(zip(found.muscles, found.force.T, strict=True)), moments.needed
+    if actuators is not None:
+        pulls = zip(found.motors, (found.control * actuators.optimal).T, strict=True)
+        tension |= {name: force for name, force in pulls if name in actuators.paths}
+        if pushed := actuators.acting(found.control):
+            under = inverse_dynamics(bones, *motion.moved, [*motion.loads(motion.time), *pushed])
+    reactions = joint_reactions(bones, motion.values, under, tension)
+    return MotionForces(bones, motion, moments, found, burnt, actuators, reactions)
+
+
+def least_forces(
+    bones: Bones,
+    setup: TrialSetup,
+    paths: MusclePaths,
+    needed: Needed,
+    actuators: Actuators | None,
+    **draws: Any,
+) -> MuscleForces:
+    """Return the forces of least cost as a set-up has mode, exponent and reserves.
+
+    Raises:
+        As `muscle_forces`, which takes `draws`, too.
+    """
+    return muscle_forces(
+        bones.model,
+        bones.coordinates,
+        paths,
+        needed.joint_moment,
+        mode=setup.mode,
+        exponent=setup.exponent or EXPONENT,
+        reserves=setup.reserves_of(bones),
+        actuators=actuators,
+        device=bones.device,
+        **draws,
+    )
+
+
+def track(
+    bones: Bones,
+    setup: TrialSetup,
+    motion: Loaded | None = None,
+    advance: Callable[[int], None] = lambda count: None,
+) -> TrackedMotion:
+    """Simulate a motion by computed muscle control.
+
+    Args:
+        bones: The model.
+        setup: With a file of joint angles, and a reserve on every coordinate; loads, strengths, gains and
+            controls as it may be.
+        motion: All of the motion, without regard to the set-up's times; None: it is read.
+        advance: Is told how many windows are done.
+
+    Raises:
+        ValueError: A file is not what it should be, a muscle is unknown, or the simulation is lost.
+        OSError: A file cannot be read.
+    """
+    motion = motion or moved(bones, setup.whole)
+    names = [name for name, muscle in bones.model.muscles.items() if muscle.applies_force]
+    if unknown := set(setup.strength) - set(names):
+        raise ValueError(f"muscle {sorted(unknown)[0]!r} unknown; available: {', '.join(names)}")
+    if setup.loads is None:
+        needed = inverse_dynamics(bones, *motion.moved)
+        if sentence := held_up(bones, motion.time, needed.joint_moment):
+            logger.warning("%s", sentence)
+    strength = np.array([setup.strength.get(name, 1.0) for name in names])
+    if not ((strength >= 0.0) & np.isfinite(strength)).all():
+        raise ValueError("the strength of a muscle must be at least 0 and finite")
+    found = simulate(
+        bones,
+        motion.time,
+        motion.values,
+        motion.loads,
+        reserves=setup.reserves_of(bones),
+        strength=strength,
+        gains=setup.gains,
+        controls=setup.controls,
+        span=setup.within(motion.time),
+        advance=advance,
+    )
+    return TrackedMotion(bones, replace(motion, time=found.time), found)
