@@ -60,8 +60,8 @@ class Movement:
 
     def part(self, frames: np.ndarray, first: int = 0, total: int | None = None) -> Movement:
         """Return some frames, of which the first has a number in a motion of so many."""
-        moved = (rows[frames] for rows in self.moved)
-        return Movement(self.time[frames], *moved, self.absent, first, total)
+        values, speeds, accelerations = (rows[frames] for rows in self.moved)
+        return Movement(self.time[frames], values, speeds, accelerations, self.absent, first, total)
 
 
 def read_motion(path: Path, bones: Bones, cutoff: float | None = None) -> Movement:

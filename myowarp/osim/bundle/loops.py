@@ -44,7 +44,7 @@ def settled(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
     host, ties = copy.copy(model), couplings(model)
     host.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     host.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
-    data = mujoco.MjData(host)
+    data, gap = mujoco.MjData(host), np.full(1, np.inf)
     for _ in range(ROUNDS):
         data.qpos[:] = qpos
         mujoco.mj_fwdPosition(host, data)
