@@ -315,8 +315,7 @@ auto update_gradient = [&]() __attribute__((noinline)) {
     return wp::sqrt(dot(gradient, gradient));
 };
 
-// The cost along x + step search, but for a constant; rows from block `one_sided` on, limits and contacts,
-// only pull below zero.
+// The cost along x + step search, but for a constant. Rows from block `one_sided` on only pull below zero.
 struct Cost { double value, slope, curvature; };
 double smooth_slope, smooth_curvature;
 const int one_sided = (ne + nf + 7) / 8;

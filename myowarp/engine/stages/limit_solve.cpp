@@ -123,29 +123,35 @@ void solve_limits_block(Block<V>& block, Inertia& inertia, Options& options, Row
         substitute(inertia, n, L, inverse_pivot, search);
         return -dot(gradient, search);
     };
-    // The cost along x + step search, but for a constant, its slope and its curvature.
+    // The cost along x + step search: its slope and curvature, and how much it falls from step 0.
     W smooth_slope, smooth_curvature;
-    auto probe = [&](W step, W& value, W& slope, W& curvature) {
-        value = step * (smooth_slope + 0.5 * step * smooth_curvature);
+    auto probe = [&](W step, W& slope, W& curvature) {
         slope = smooth_slope + step * smooth_curvature;
         curvature = smooth_curvature;
         for (int i = 0; i < n; ++i) {
             const W v = widen(change[i]), d = widen(D[i]), r = widen(residual[i]) + step * v;
             const auto satisfied = r >= none;
-            value += select(satisfied, none, 0.5 * d * r * r);
             slope += select(satisfied, none, v * d * r);
             curvature += select(satisfied, none, v * v * d);
         }
     };
+    auto improvement = [&](W step) {
+        W falls = none;
+        for (int i = 0; i < n; ++i) {
+            const W r = widen(residual[i]), d = 0.5 * widen(D[i]), after = r + step * widen(change[i]);
+            falls += select(r >= none, none, d * r * r) - select(after >= none, none, d * after * after);
+        }
+        return narrow(falls - step * (smooth_slope + 0.5 * step * smooth_curvature));
+    };
     Truth unfinished = zero != zero, unbracketed = unfinished, busy = num_rows > 0.0f;
-    auto find_step = [&](V& gain) {
-        W start, slope, curvature, low = none, high = none + 3.4e38;
-        probe(none, start, slope, curvature);
+    auto find_step = [&]() {
+        W slope, curvature, low = none, high = none + 3.4e38;
+        probe(none, slope, curvature);
         Truth searching = busy & narrow((slope >= none) == 0);
         const W enough = -1e-9 * slope;
-        W step = select(slope >= none, none, -slope / curvature), value = start;
+        W step = select(slope >= none, none, -slope / curvature);
         for (int i = 0; i < options.ls_iterations && any(searching); ++i) {
-            probe(step, value, slope, curvature);
+            probe(step, slope, curvature);
             const WideTruth steep = (slope > enough) | (slope < -enough), falling = slope < none;
             searching = searching & narrow(steep);
             low = select(falling, step, low);
@@ -155,7 +161,6 @@ void solve_limits_block(Block<V>& block, Inertia& inertia, Options& options, Row
             step = select(going, select(inside, next, 0.5 * (low + high)), step);
         }
         unbracketed = unbracketed | searching;
-        gain = narrow(start - value);
         return step;
     };
 
@@ -187,9 +192,8 @@ void solve_limits_block(Block<V>& block, Inertia& inertia, Options& options, Row
             smooth_slope += widen(search[i]) * (widen(Mx[i]) - widen(smooth[i]));
             smooth_curvature += widen(search[i]) * widen(Ms[i]);
         }
-        V gain;
-        const W step = find_step(gain);
-        const V moved = narrow(step);
+        const W step = find_step();
+        const V gain = improvement(step), moved = narrow(step);
         for (int i = 0; i < n; ++i) {  // finished worlds stay
             x[i] = select(busy, x[i] + moved * search[i], x[i]);
             Mx[i] = select(busy, Mx[i] + moved * Ms[i], Mx[i]);
