@@ -85,6 +85,21 @@ def test_files(result, tmp_path):
     assert files[2].stat().st_size > 5_000
 
 
+def test_patients_of_a_table_change_each_at_their_time(run, tmp_path):
+    table = tmp_path / "patients.csv"
+    table.write_text("strength\n1 -> 0 @ 0.4\n1 -> 0 @ 0.8\n")
+    made = adaptation.with_patients(setup(), table, 6)
+    strength = made.conditions[0].strength
+    np.testing.assert_array_equal(strength.onset, [0.4] * 3 + [0.8] * 3)
+    command = ("adapt", TASK, "--cohort", table, "--policies", "zero", "--output", tmp_path / "out")
+    status, out, _ = run(*command, "--episodes", 6, "--json", "--device", "cpu")
+    assert status == 0
+    assert json.loads(out)[0]["episodes"] == 6
+    status, _, err = run(*command, "--episodes", 5, "--overwrite")
+    assert status == 2
+    assert "--episodes must be a multiple of the 2 patients of --cohort, got 5" in err
+
+
 @pytest.mark.parametrize(
     ("conditions", "policies", "message"),
     [

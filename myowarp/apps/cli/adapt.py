@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+import tyro
 from rich.console import Console
 from rich.table import Table
 
-from myowarp.apps.cli.options import Environment, Overwrite
+from myowarp.apps.cli.options import Environment, Overwrite, optional
 from myowarp.definitions.registry import check_least
 
 if TYPE_CHECKING:
@@ -21,17 +22,18 @@ if TYPE_CHECKING:
 class Adapt:
     """Compare what policies do once a patient has changed in mid-episode, each in the same episodes.
 
-    Conditions say what changes and when. Success before the change, its drop, the time to recover half of it,
-    and the share of solved steps after it, with 95 % intervals; the first policy is the one to beat. Writes
-    adaptation.json, curves.csv and adaptation.png.
+    Conditions or a cohort say what changes and when. Success before the change, its drop, the time to recover
+    half of it, and the share of solved steps after it, with 95 % intervals; the first policy is the one to
+    beat. Writes adaptation.json, curves.csv and adaptation.png.
 
-    Example: myowarp adapt myoElbowPose1D6MRandom-v0 --policies baseline runs/adapted --conditions
-    'sarcopenia(strength=Ramp(1.0, Uniform(0, 1, each=True), onset=Uniform(0.2, 1)))'
+    Example: myowarp adapt myoElbowPose1D6MRandom-v0 --cohort examples/changing.csv
     """
 
     asked: Environment
-    policies: tuple[str, ...] = ("baseline",)
+    policies: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[NAME ...]")] = ("baseline",)
     """Policies, each as in `rollout --policy`."""
+    cohort: Annotated[Path | None, optional("TABLE")] = None
+    """Patient table whose entries change; every patient has as many episodes."""
     episodes: int = 1024
     """Episodes of each policy, and worlds simulated together."""
     output: Path = Path("out/adapt")
@@ -52,7 +54,10 @@ class Adapt:
         check_folder(self.output)
         check_overwrite((self.output / adaptation.RESULT,), self.overwrite)
         console = Console(stderr=True)
-        result = adaptation.study(complete(self.asked.setup), self.policies, self.episodes, console)
+        setup = complete(self.asked.setup)
+        if self.cohort is not None:
+            setup = adaptation.with_patients(setup, self.cohort, self.episodes)
+        result = adaptation.study(setup, self.policies, self.episodes, console)
         files = adaptation.save(result, self.output)
         if self.json:
             print(json.dumps([asdict(policy) for policy in result.policies], indent=1))

@@ -37,6 +37,8 @@ from myowarp.definitions.senses import PARAMETERS
 from myowarp.definitions.setup import Setup
 from myowarp.disk import in_place, make_folder, plain, write_rows
 from myowarp.inks import INKS
+from myowarp.sim.patient_columns import conditions_of
+from myowarp.sim.patient_table import population_of
 from myowarp.sim.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -127,6 +129,23 @@ class Trail(Watcher):
     def all_ended(self) -> bool:
         """Whether every world has had its episode."""
         return not self._running.any()
+
+
+def with_patients(setup: Setup, table: Path, episodes: int) -> Setup:
+    """Return a setup with the patients of a table, each in as many episodes.
+
+    Raises:
+        ValueError: The table is wrong, or the episodes cannot be divided among its patients.
+        ImportError: Parquet without pandas and pyarrow.
+    """
+    population = population_of(table, setup.spec)
+    number = len(population.patients)
+    if episodes % number:
+        raise ValueError(
+            f"--episodes must be a multiple of the {number} patients of --cohort, got {episodes}"
+        )
+    patients = conditions_of(population.entries, setup.spec, episodes // number)
+    return dataclasses.replace(setup, conditions=(*(setup.conditions or ()), *patients))
 
 
 def study(

@@ -42,6 +42,13 @@ Vector = tuple[float, float, float]
 Rows = tuple[Vector, Vector, Vector]
 
 
+FOLLOW_ON_CUDA = wp.Kernel(
+    follow_paths.func, module=wp.get_module(f"{__name__}.cuda"), options={"enable_backward": False}
+)
+"""At -O3 its machine code takes 110 s of a core and 2.2 MB, at -O1 26 s and 0.7 MB (sm_90, CUDA 13.4)."""
+FOLLOW_ON_CUDA.module.options["optimization_level"] = 1
+
+
 @dataclass(frozen=True)
 class Via:
     """A point that a path goes through.
@@ -303,7 +310,7 @@ class PathMemory:
     def launch(self) -> None:
         """Follow all paths in the frames as they are."""
         wp.launch(
-            follow_paths,
+            FOLLOW_ON_CUDA if wp.get_device().is_cuda else follow_paths,
             dim=(self.worlds, self.number),
             inputs=[self.tables, self.frames],
             outputs=[self.memory, self.pulls],
