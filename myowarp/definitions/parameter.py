@@ -144,7 +144,7 @@ def draw_uniform(
 
 @dataclass(frozen=True)
 class Drawn:
-    """What is drawn for a parameter; arrays with a row a world have one for all where they agree.
+    """A draw of a parameter; bounds have one row for all worlds where they agree.
 
     Attributes:
         low: Lower bounds, shape (1 or num_worlds, 1).

@@ -310,7 +310,7 @@ class PathMemory:
     def launch(self) -> None:
         """Follow all paths in the frames as they are."""
         wp.launch(
-            FOLLOW_ON_CUDA if wp.get_device().is_cuda else follow_paths,
+            follow_paths if wp.get_device().is_cpu else FOLLOW_ON_CUDA,
             dim=(self.worlds, self.number),
             inputs=[self.tables, self.frames],
             outputs=[self.memory, self.pulls],
