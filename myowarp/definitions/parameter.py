@@ -345,5 +345,9 @@ class Parameter:
     def sample(self, keys: RandomKeys, mask: wp.array) -> None:
         """Draw in the worlds of `mask` (num_worlds,) bool."""
         for draw in self.draws:
-            inputs = [draw.lifelong, draw.stream, draw.low, draw.high, keys, mask]
-            wp.launch(draw_uniform, dim=self.worlds.number, inputs=inputs, outputs=[draw.values])
+            wp.launch(
+                draw_uniform,
+                dim=self.worlds.number,
+                inputs=[draw.lifelong, draw.stream, draw.low, draw.high, keys, mask],
+                outputs=[draw.values],
+            )

@@ -90,39 +90,48 @@ class Sense:
 
 
 class History(Sense):
-    """The last observations and the actions that followed, the latest first; zeros before the episode."""
+    """The last observations and the actions that followed, the latest first; zeros before the episode.
+
+    Attributes:
+        action: Actions, shape (num_worlds, num_actions).
+        size: Numbers that task and conditions observe.
+        past: What is remembered, shape (num_worlds, steps x (size + num_actions)).
+    """
 
     def __init__(self, steps: int, scene: Scene, action: wp.array, columns: Sequence[Column]) -> None:
-        self._action, size = action, sum(column.size for column in columns)
+        self.action, size = action, sum(column.size for column in columns)
         doc = f"the last {steps} observations, each with the action that followed it, the latest first"
         once = [entry for column in columns for entry in column.entries(scene.oracle)]
         acted = (f"action of {scene.oracle.actuator(i).name}" for i in range(scene.num_actions))
         once += [Entry(name, "1") for name in acted]
         names = tuple(Entry(f"{e.name} {k + 1} back", e.unit) for k in range(steps) for e in once)
         self.column = Column(HISTORY, steps * (size + scene.num_actions), "1", doc, names)
-        self._past = scene.zeros("sense.history", self.column.size)
-        self._size = size
+        self.past = scene.zeros("sense.history", self.column.size)
+        self.size = size
 
     def remember(self, mask: wp.array, obs: wp.array) -> None:
         """Launch `push`."""
-        inputs = [mask, obs, self._action, self._size]
-        wp.launch(push, dim=mask.shape[0], inputs=inputs, outputs=[self._past])
+        wp.launch(push, dim=mask.shape[0], inputs=[mask, obs, self.action, self.size], outputs=[self.past])
 
     def forget(self, mask: wp.array) -> None:
         """Launch `clear`."""
-        wp.launch(clear, dim=self._past.shape, inputs=[mask], outputs=[self._past])
+        wp.launch(clear, dim=self.past.shape, inputs=[mask], outputs=[self.past])
 
     def observe(self, mask: wp.array, obs: wp.array, column: int) -> None:
         """Copy what is remembered."""
-        masked_observe(mask, self._past, column, obs)
+        masked_observe(mask, self.past, column, obs)
 
 
 class Told(Sense):
-    """The parameters of all conditions as they are now, those of muscles for every muscle."""
+    """The parameters of all conditions as they are now, those of muscles for every muscle.
+
+    Attributes:
+        clock: Time of the worlds.
+    """
 
     def __init__(self, scene: Scene, clock: Clock) -> None:
         self._parameters: list[Parameter] = scene.parameters
-        self._clock = clock
+        self.clock = clock
         if not self._parameters:
             raise ValueError(f"observe {PARAMETERS} needs conditions, which have them; got none")
         names = tuple(
@@ -136,8 +145,8 @@ class Told(Sense):
 
     def now(self) -> np.ndarray:
         """Return what all worlds are told, shape (num_worlds, size)."""
-        worlds = self._clock.step_count.shape[0]
-        told = wp.zeros((worlds, self.column.size), dtype=float, device=self._clock.step_count.device)
+        worlds = self.clock.step_count.shape[0]
+        told = wp.zeros((worlds, self.column.size), dtype=float, device=self.clock.step_count.device)
         with wp.ScopedDevice(told.device):
             self.observe(wp.ones(worlds, dtype=bool), told, 0)
         return told.numpy()
@@ -146,8 +155,12 @@ class Told(Sense):
         """Launch `tell` for each parameter."""
         for parameter in self._parameters:
             number = max(len(parameter.names), 1)
-            inputs = [mask, parameter.curve, self._clock, column]
-            wp.launch(tell, dim=(mask.shape[0], number), inputs=inputs, outputs=[obs])
+            wp.launch(
+                tell,
+                dim=(mask.shape[0], number),
+                inputs=[mask, parameter.curve, self.clock, column],
+                outputs=[obs],
+            )
             column += number
 
 
