@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-from myowarp.motion.trial import read_motion
 
 from myowarp.apps.policies.replay import Replay
 from myowarp.kernels.action import excitation
+from myowarp.motion.movement import read_motion
 from myowarp.motion.storage import Storage, read_storage
 from myowarp.osim.body.skeleton import Bones
 

@@ -23,6 +23,7 @@ ARGUMENTS = {
     "describe": (ELBOW,),
     "view": (ELBOW, "--port", "0"),
     "warmup": (ELBOW,),
+    "adapt": (ELBOW, "--policies", "zero", "--conditions", "sarcopenia", "--output", "{folder}/adapt"),
     "audit": (ELBOW, "--output", "{folder}/audit"),
     "cohort": ("{folder}/patients.csv", "--task", ELBOW, "--output", "{folder}/cohort"),
     "plot": ("force-length", ELBOW, "--output", "{folder}/plot.png"),

@@ -5,15 +5,18 @@ The moments are OpenSim 4.6's, from `tests/data/record_opensim_beside.py`; conta
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from myowarp.motion.trial import dynamics, forces, read_motion, write_angles
 
 from myowarp.motion.actuators import actuators_of
 from myowarp.motion.loads import prescribed_loads
+from myowarp.motion.movement import write_angles
+from myowarp.motion.setup import TrialSetup
 from myowarp.motion.smooth import derivatives
+from myowarp.motion.steps import dynamics, forces
 from myowarp.motion.storage import read_storage
 from myowarp.motion.tracking import equations
 from myowarp.osim.body.model_forces import left_out
@@ -60,9 +63,9 @@ def arm(name, tmp_path):
 
 @pytest.fixture
 def recorded(arm, tmp_path):
-    """Return the recorded motion, from a file."""
+    """Return a set-up with the recorded motion, from a file."""
     write_angles(tmp_path / "motion.mot", arm.model, arm.coordinates, TIME, VALUES)
-    return read_motion(tmp_path / "motion.mot", arm)
+    return TrialSetup(motion=tmp_path / "motion.mot")
 
 
 @pytest.fixture
@@ -74,18 +77,20 @@ def wanted(name):
 
 
 def test_dynamics(arm, recorded, wanted, tmp_path):
-    found = dynamics(arm, recorded, tmp_path)
-    np.testing.assert_allclose(found.joint_moment, wanted, atol=WRITTEN)
+    found = dynamics(arm, recorded)
+    found.write(tmp_path)
+    np.testing.assert_allclose(found.needed.joint_moment, wanted, atol=WRITTEN)
     table = read_storage(tmp_path / "moments.sto")
     np.testing.assert_allclose(table.values, wanted, atol=WRITTEN)
 
 
 def test_forces(arm, recorded, wanted, tmp_path):
     """What muscles and reserves give together is what the bones take beside the force."""
-    found = forces(arm, recorded, tmp_path, reserves=dict.fromkeys(arm.coordinates, 1.0))
+    found = forces(arm, replace(recorded, reserves=dict.fromkeys(arm.coordinates, 1.0)))
+    found.write(tmp_path)
     np.testing.assert_allclose(read_storage(tmp_path / "moments.sto").values, wanted, atol=WRITTEN)
-    paths = muscle_paths(arm, recorded.values, recorded.speeds)
-    given = np.einsum("nm,nmk->nk", found.force, paths.moment_arm) + found.reserve
+    paths = muscle_paths(arm, found.motion.values, found.motion.speeds)
+    given = np.einsum("nm,nmk->nk", found.solved.force, paths.moment_arm) + found.solved.reserve
     np.testing.assert_allclose(given, wanted, atol=SHARED)
 
 
