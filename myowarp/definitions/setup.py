@@ -190,6 +190,7 @@ class Setup:
         texts |= {"reset": self.reset, "device": self.device}
         found: dict[str, Any] = {name: "" if value is None else str(value) for name, value in texts.items()}
         found["conditions"] = [condition for condition in self.conditions or () if isinstance(condition, str)]
+        found["observe"] = None if self.observe is None else list(self.observe)
         others = [f.name for f in dataclasses.fields(self) if f.name not in (*found, *UNRECORDED)]
         return found | {name: getattr(self, name) for name in others}
 
