@@ -1,9 +1,9 @@
 """A setup: what is put over what, what it is as JSON, and that every command takes it whole."""
 
-from dataclasses import json
+import json
+from dataclasses import dataclass
 from pathlib import Path
 
-import dataclass
 import pytest
 
 from myowarp.apps.cli.main import COMMANDS
@@ -87,7 +87,7 @@ def test_json_and_back():
         physics="fast", muscle="mujoco", conditions=("sarcopenia(strength=0.3)",), seed=0, horizon=7
     )
     assert Setup.from_plain(setup.plain()) == setup
-    remembers = Setup(observe=("history=8", "parameters"))
+    remembers = Setup(conditions=(), observe=("history=8", "parameters"))
     assert Setup.from_plain(json.loads(json.dumps(remembers.plain()))) == remembers
     assert remembers.plain() == json.loads(json.dumps(remembers.plain()))
     parts = Setup(muscle=MuscleTable("mujoco"), conditions=(Sarcopenia(), "fatigue_3ccr"))
