@@ -3,6 +3,9 @@
 // order are the same, and sine and cosine are polynomials in both.
 #ifndef MYOWARP_LANES_CPP
 #define MYOWARP_LANES_CPP
+#ifdef __clang__
+#pragma clang diagnostic ignored "-Wpsabi"  // 512 bits are two registers of AVX2; no such call leaves the file
+#endif
 #ifdef MYOWARP_LANES  // a flag of the compiler says how many
 #elif !defined(__clang__) || defined(__CUDACC__)
 #define MYOWARP_LANES 1

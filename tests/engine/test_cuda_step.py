@@ -59,7 +59,7 @@ def test_nodes_of_a_physics_step(case):
     ours, engine = map(counts, nodes_of(*case))
     assert ours["physics_step_kernel"] + ours["physics_step_memory"] <= NODES[case]
     assert not any(number for name, number in ours.items() if name.endswith("allocation"))
-    assert ours["iteration_kernel"] == engine["iteration_kernel"] == 10
+    assert ours["iteration_kernel"] == 10 <= engine["iteration_kernel"]
     assert engine["physics_step_allocation"] > 30
 
 

@@ -5,7 +5,6 @@
 if (memory.solved.data[world])
     continue;
 #pragma clang diagnostic ignored "-Wvla-cxx-extension"
-#pragma clang diagnostic ignored "-Wpsabi"  // 512 bits on AVX2 are two registers, and no call leaves the file
 typedef float lanes __attribute__((ext_vector_type(8)));
 typedef float half __attribute__((ext_vector_type(4)));
 typedef float loose_half __attribute__((ext_vector_type(4), aligned(4)));
