@@ -202,6 +202,8 @@ class Parameter:
         self.curve = Curve()
         ramp = value if isinstance(value, Ramp) else Ramp(value, value)
         check_choice(f"{name} ramp of", ramp.of, SPANS)
+        if np.ndim(ramp.duration):
+            raise ValueError(f"{name} duration must be one time for all worlds, got {ramp.duration!r}")
         self.curve.duration = float(self._times("duration", ramp.duration)[0, 0]) / scene.control_dt
         self.curve.lifelong = ramp.of == "life"
         ends = (ramp.start, ramp.end) if isinstance(value, Ramp) else (value,)

@@ -423,6 +423,7 @@ class TestParameter:
             (Ramp(0, 1, onset=[0, 1, -2]), r"^thing onset must be .* >= 0 s, got -2 for one of its worlds$"),
             (Ramp(0, 1, onset=Uniform(2, 1)), r"^thing onset must be drawn with low <= high, got 2 and 1$"),
             (Uniform([0, 2, 0], 1), r"^thing must be drawn with low <= high, got 2 and 1$"),
+            (Ramp(0, 1, 0, [1, 2, 3]), r"^thing duration must be one time for all worlds, got \[1, 2, 3\]$"),
             (Ramp(0, 1, of="day"), r"^thing ramp of 'day' unknown; available: episode, life$"),
             (Ramp(0, -3), r"^thing must be >= 0, got -3$"),
         ],
