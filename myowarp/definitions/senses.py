@@ -21,6 +21,8 @@ from myowarp.definitions.task import Column
 from myowarp.kernels.observe import masked_observe
 
 if TYPE_CHECKING:
+    from mujoco import MjModel
+
     from myowarp.definitions.scene import Scene
 
 HISTORY, PARAMETERS = SENSES = "history", "parameters"
@@ -101,10 +103,13 @@ class History(Sense):
     def __init__(self, steps: int, scene: Scene, action: wp.array, columns: Sequence[Column]) -> None:
         self.action, size = action, sum(column.size for column in columns)
         doc = f"the last {steps} observations, each with the action that followed it, the latest first"
-        once = [entry for column in columns for entry in column.entries(scene.oracle)]
-        acted = (f"action of {scene.oracle.actuator(i).name}" for i in range(scene.num_actions))
-        once += [Entry(name, "1") for name in acted]
-        names = tuple(Entry(f"{e.name} {k + 1} back", e.unit) for k in range(steps) for e in once)
+
+        def names(model: MjModel) -> list[Entry]:  # thousands, which only a description reads
+            once = [entry for column in columns for entry in column.entries(model)]
+            acted = (f"action of {model.actuator(i).name}" for i in range(scene.num_actions))
+            once += [Entry(name, "1") for name in acted]
+            return [Entry(f"{e.name} {k + 1} back", e.unit) for k in range(steps) for e in once]
+
         self.column = Column(HISTORY, steps * (size + scene.num_actions), "1", doc, names)
         self.past = scene.zeros("sense.history", self.column.size)
         self.size = size

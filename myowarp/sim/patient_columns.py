@@ -100,14 +100,14 @@ class CohortColumn:
         if (arrow and not self.changes) or (at and not time.strip()):
             raise ValueError
         course = Course(" ".join(str(entry).split()))
-        course.start = self._span(before)
-        course.end = self._span(after) if arrow else course.start
+        course.start = self._bounds(before)
+        course.end = self._bounds(after) if arrow else course.start
         course.onset = _span(time, number_in) if at else (0.0, 0.0)
         if not 0.0 <= course.onset[0] <= course.onset[1] < INF:
             raise ValueError
         return course
 
-    def _span(self, text: str) -> Span:
+    def _bounds(self, text: str) -> Span:
         low, high = _span(text, self.number)
         if low > high or (low < high and not self.draws):
             raise ValueError
@@ -265,14 +265,14 @@ def _tear(values: Entries) -> dict[str, Any]:
         raise ValueError("cohort column tear_time: it needs column tendon_tear, which says what tears")
     torn = sorted({muscle for muscles in values["muscles"] for muscle in muscles})
     whole = [[float(muscle not in muscles) for muscle in torn] for muscles in values["muscles"]]
-    times = {name: value_of(entries) for name, entries in values.items() if name != "muscles"}
+    times = {name: parameter_of(entries) for name, entries in values.items() if name != "muscles"}
     return {"muscles": torn, "transmission": np.array(whole)} | times if torn else {}
 
 
 def _completed(condition: str, values: Entries) -> dict[str, Any]:
     """Return the parameters of a condition: given ones, and what patients without it differ in."""
     kind = CONDITIONS[condition]
-    parameters: dict[str, Any] = {name: value_of(entries) for name, entries in values.items()}
+    parameters: dict[str, Any] = {name: parameter_of(entries) for name, entries in values.items()}
     given = [
         [entry != neutral for entry in values[name]]  # a course never is neutral
         for name, neutral in kind.NEUTRAL.items()
@@ -290,7 +290,7 @@ def _completed(condition: str, values: Entries) -> dict[str, Any]:
     return parameters
 
 
-def value_of(entries: Sequence[float | Course]) -> Value:
+def parameter_of(entries: Sequence[float | Course]) -> Value:
     """Return the parameter that the entries of all worlds stand for."""
     if not any(isinstance(entry, Course) for entry in entries):
         return np.array(entries, dtype=float)

@@ -7,15 +7,17 @@ import importlib.util
 import io
 import unicodedata
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from myowarp.definitions.condition import resolve
 from myowarp.definitions.muscle import muscle_names
+from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TaskSpec
 from myowarp.extras import to_install
 from myowarp.sim.build import oracle_model
-from myowarp.sim.patient_columns import COLUMNS, EXCLUSIVE, TornMuscles, is_course
+from myowarp.sim.patient_columns import COLUMNS, EXCLUSIVE, TornMuscles, conditions_of, is_course
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,6 +42,28 @@ class Population:
 
     patients: tuple[str, ...]
     entries: dict[str, list[Any]]
+
+    def each(self, worlds: int, flag: str) -> int:
+        """Return how many of some worlds each patient has.
+
+        Raises:
+            ValueError: They cannot be divided; the message names the flag that says how many there are.
+        """
+        each, rest = divmod(worlds, number := len(self.patients))
+        if rest:
+            raise ValueError(f"{flag} must be a multiple of the {number} patients of --cohort, got {worlds}")
+        return each
+
+    def joined(self, setup: Setup, each: int) -> Setup:
+        """Return a setup with the patients' conditions beside its own, for so many worlds of each.
+
+        Raises:
+            ValueError: The body cannot have a condition, or two exclude each other.
+        """
+        patients = conditions_of(self.entries, setup.spec, each)
+        conditions = (*(setup.conditions or ()), *patients)
+        resolve(conditions, setup.spec)
+        return replace(setup, conditions=conditions)
 
 
 def population_of(table: str | Path | pd.DataFrame, spec: TaskSpec) -> Population:

@@ -168,6 +168,12 @@ class Simulation:
         """Worlds stepped together."""
         return self.scene.num_worlds
 
+    @property
+    def blocks(self) -> dict[str, slice]:
+        """Columns of the observation that each block has, by its name."""
+        ends = np.cumsum([column.size for column in self.columns]).tolist()
+        return {c.name: slice(end - c.size, end) for c, end in zip(self.columns, ends, strict=True)}
+
     @cached_property
     def full_model(self) -> mujoco.MjModel:
         """The unslimmed model with the task's objects, for pictures and comparisons; host."""

@@ -140,8 +140,7 @@ def bind(checkpoint: Checkpoint, sim: Simulation, sampled: Setup | None = None) 
     wanted = [name for name, *_ in own if name in SENSES]
     if wanted == [column.name for column in sim.columns if column.name in SENSES]:
         return policy
-    ends = np.cumsum([column.size for column in sim.columns])
-    blocks = {c.name: slice(end - c.size, end) for c, end in zip(sim.columns, ends, strict=True)}
+    blocks = sim.blocks
     first = sum(column.size for column in sim.columns if column.name not in SENSES)
     untold = PARAMETERS in wanted and PARAMETERS not in blocks
     told = [Told(shard.scene, shard.clock) for shard in sim.shards if untold]

@@ -37,7 +37,6 @@ from myowarp.definitions.senses import PARAMETERS
 from myowarp.definitions.setup import Setup
 from myowarp.disk import in_place, make_folder, plain, write_rows
 from myowarp.inks import INKS
-from myowarp.sim.patient_columns import conditions_of
 from myowarp.sim.patient_table import population_of
 from myowarp.sim.simulation import Simulation
 
@@ -106,9 +105,7 @@ class Trail(Watcher):
         self.changed, self.length = np.full(sim.num_worlds, -1), np.zeros(sim.num_worlds, dtype=int)
         self._solved: list[np.ndarray] = []
         self._running = np.ones(sim.num_worlds, dtype=bool)
-        size, ends = {c.name: c.size for c in sim.columns}, np.cumsum([c.size for c in sim.columns])
-        end = int(ends[[c.name for c in sim.columns].index(PARAMETERS)])
-        self._told, self._first = slice(end - size[PARAMETERS], end), np.empty(0)
+        self._told, self._first = sim.blocks[PARAMETERS], np.empty(0)
 
     def see(self, step: Step) -> None:
         """Take a step down."""
@@ -121,10 +118,13 @@ class Trail(Watcher):
         self.length += self._running
         self._running &= ~step.ended
 
-    @property
-    def solved(self) -> np.ndarray:
-        """Whether each step was solved, shape (num_steps, num_worlds); false after the end."""
-        return np.array(self._solved)
+    def of(self, worlds: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return of some worlds whether each step was solved, false after the end; `changed`, `length`.
+
+        Args:
+            worlds: A mask, shape (num_worlds,).
+        """
+        return np.array(self._solved)[:, worlds], self.changed[worlds], self.length[worlds]
 
     def all_ended(self) -> bool:
         """Whether every world has had its episode."""
@@ -139,13 +139,7 @@ def with_patients(setup: Setup, table: Path, episodes: int) -> Setup:
         ImportError: Parquet without pandas and pyarrow.
     """
     population = population_of(table, setup.spec)
-    number = len(population.patients)
-    if episodes % number:
-        raise ValueError(
-            f"--episodes must be a multiple of the {number} patients of --cohort, got {episodes}"
-        )
-    patients = conditions_of(population.entries, setup.spec, episodes // number)
-    return dataclasses.replace(setup, conditions=(*(setup.conditions or ()), *patients))
+    return population.joined(setup, population.each(episodes, "--episodes"))
 
 
 def study(
@@ -175,10 +169,11 @@ def study(
             f"adapt needs conditions that change while an episode of {setup.spec.key!r} lasts, such as "
             f"'sarcopenia(strength=Ramp(1.0, 0.5, onset=0.5))'; of {episodes} episodes none had a change"
         )
-    dt, shares = setup.spec.control_dt, [_share_after(trail, counted) for trail in trails]
+    seen = [trail.of(counted) for trail in trails]
+    dt, shares = setup.spec.control_dt, [_share_after(*own) for own in seen]
     span = max(1, round(BEFORE / dt))
     steps = np.arange(-span, setup.episode_steps)
-    curves = [_curve(trail, counted, steps) for trail in trails]
+    curves = [_curve(steps, *own) for own in seen]
     found = []
     for policy, share, curve in zip(policies, shares, curves, strict=True):
         first = share is shares[0]
@@ -209,16 +204,14 @@ def _follow(setup: Setup, policy: Policy, episodes: int, console: Console | None
     return trail
 
 
-def _share_after(trail: Trail, counted: np.ndarray) -> np.ndarray:
-    """Return the share of solved steps after the change, of each counted episode."""
-    solved, changed, length = trail.solved[:, counted], trail.changed[counted], trail.length[counted]
+def _share_after(solved: np.ndarray, changed: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """Return the share of solved steps after the change, of each episode."""
     after = np.arange(len(solved))[:, None] >= changed
     return (solved & after).sum(axis=0) / (length - changed)
 
 
-def _curve(trail: Trail, counted: np.ndarray, steps: np.ndarray) -> np.ndarray:
+def _curve(steps: np.ndarray, solved: np.ndarray, changed: np.ndarray, length: np.ndarray) -> np.ndarray:
     """Return s(k) for all k of `steps`; NaN where too few episodes last."""
-    solved, changed, length = trail.solved[:, counted], trail.changed[counted], trail.length[counted]
     at = steps[:, None] + changed
     lasts = (at >= 0) & (at < length)
     seen = lasts & solved[np.clip(at, 0, len(solved) - 1), np.arange(len(changed))]

@@ -27,14 +27,12 @@ from myowarp.apps.policies.learned import read_policy
 from myowarp.apps.rollouts.ranks import ALONE, Ranks
 from myowarp.apps.train import bonus, settings
 from myowarp.apps.train.settings import ALGORITHMS, Settings, divided
-from myowarp.definitions.condition import resolve
 from myowarp.definitions.option import flag
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.setup import OPTIONS, Setup
 from myowarp.definitions.task import TaskSpec
 from myowarp.disk import check_folder, locked, make_folder, plain
 from myowarp.extras import to_install
-from myowarp.sim.patient_columns import conditions_of
 from myowarp.sim.patient_table import population_of
 from myowarp.sim.state import State
 from myowarp.tasks.setups import complete
@@ -186,20 +184,13 @@ def _with_files(job: Job) -> Job:
     _check_ranks(job)
     if chosen.cohort:
         population = population_of(chosen.cohort, spec)
-        each, rest = divmod(chosen.num_worlds, number := len(population.patients))
-        if rest:
-            raise ValueError(
-                f"--num-worlds must be a multiple of the {number} patients of --cohort, got "
-                f"{chosen.num_worlds}"
-            )
+        each = population.each(chosen.num_worlds, "--num-worlds")
         if each % (copies := getattr(chosen, "copies", 1)):
             raise ValueError(
-                f"--num-worlds must give each of the {number} patients of --cohort a multiple of the "
-                f"{copies} --copies, which are one patient, got {chosen.num_worlds}"
+                f"--num-worlds must give each of the {len(population.patients)} patients of --cohort a "
+                f"multiple of the {copies} --copies, which are one patient, got {chosen.num_worlds}"
             )
-        patients = conditions_of(population.entries, spec, each)
-        setup = replace(setup, conditions=(*(setup.conditions or ()), *patients))
-        resolve(setup.conditions or (), spec)
+        setup = population.joined(setup, each)
     if chosen.start:
         if not Path(chosen.start).is_file():
             raise ValueError(f"--start {chosen.start!r} does not exist")

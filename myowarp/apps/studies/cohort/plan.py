@@ -11,12 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from myowarp.apps.policies.find import Act, Policy, find_policy
-from myowarp.definitions.condition import resolve
 from myowarp.definitions.registry import check_least
 from myowarp.definitions.setup import MOST_SEED, Setup
 from myowarp.extras import to_install
 from myowarp.sim.build import MOST_STEPS, resolve_device
-from myowarp.sim.patient_columns import conditions_of
 from myowarp.sim.patient_table import Population, population_of
 from myowarp.tasks.setups import complete, variant_of
 from myowarp.tasks.variants import Variant
@@ -91,7 +89,5 @@ def plan_cohort(
     else:
         acts = Policy(getattr(policy, "__name__", type(policy).__name__), policy)
     population = population_of(table, spec)
-    conditions = (*(setup.conditions or ()), *conditions_of(population.entries, spec, trials))
-    resolve(conditions, spec)
-    whole = dataclasses.replace(setup, conditions=conditions, horizon=steps)
+    whole = dataclasses.replace(population.joined(setup, trials), horizon=steps)
     return Plan(whole, population, acts, steps, trials, every)
