@@ -157,6 +157,8 @@ def speed() -> dict[str, Any]:
     return {
         "families": steps_table("rivals"),
         "ratios": ratio_table("rivals"),
+        "wide": steps_table("rivals_16_lanes"),
+        "wide_ratios": ratio_table("rivals_16_lanes"),
         "bodies": steps_table("rivals_bodies"),
         "bodies_ratios": ratio_table("rivals_bodies"),
         "disturbed": disturbed("rivals"),
