@@ -181,11 +181,11 @@ def _summary_table(found: list[Baseline], published: dict[str, Any]) -> str:
         shares = [_over_seeds(baseline, mode) for mode in MODES]
         shares.append(_over_seeds(baseline, MODES[0], "success_last"))
         most = max(run["training"]["samples"] for run in baseline.runs) / 1e6
-        hours = max(run["training"]["training_cpu_seconds"] for run in baseline.runs) / 3600.0
-        how = f"{baseline.checkpoint.manifest['algorithm']}, {most:.2f} M, {hours:.2g} h"
+        minutes = max(run["training"]["training_cpu_seconds"] for run in baseline.runs) / 60.0
+        how = f"{baseline.checkpoint.manifest['algorithm']}, {most:.2f} M, {minutes:.{int(minutes < 10)}f} min"
         rows.append([f"`{task}`", str(len(baseline.runs)), *shares, how])
     return (
-        markdown(["task", "seeds", *MODES, "deterministic, last step", "algorithm, samples, core-hours"], rows)
+        markdown(["task", "seeds", *MODES, "deterministic, last step", "algorithm, samples, time of a core"], rows)
         + "\n"
     )
 
