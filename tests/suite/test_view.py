@@ -10,7 +10,7 @@ from myowarp.definitions.task import TASKS
 from myowarp.sim.build import full_spec
 from myowarp.sim.simulation import Simulation
 from myowarp.view.drawing import style as look
-from myowarp.view.drawing.render import NoGraphicsError, WorldRenderer
+from myowarp.view.drawing.render import NoGraphicsError, WorldRenderer, tiled
 from myowarp.view.drawing.snapshot import Snapshot, snapshot
 from myowarp.view.drawing.video import write_picture, write_video
 
@@ -66,10 +66,10 @@ def test_picture_shows_pose_activation_and_target(model, renderer):
 
 
 def test_grid_holds_the_tiles(model, renderer):
-    film = [Snapshot(pose) for pose in (model.qpos0, middle(model), model.qpos0)]
-    grid = renderer.frame_grid(film, columns=2)
-    np.testing.assert_array_equal(grid[: SIZE[1], : SIZE[0]], renderer.frame(film[0]))
-    np.testing.assert_array_equal(grid[: SIZE[1], -SIZE[0] :], renderer.frame(film[1]))
+    frames = [renderer.frame(Snapshot(pose)) for pose in (model.qpos0, middle(model))]
+    grid = tiled([*frames, frames[0]], columns=2)
+    np.testing.assert_array_equal(grid[: SIZE[1], : SIZE[0]], frames[0])
+    np.testing.assert_array_equal(grid[: SIZE[1], -SIZE[0] :], frames[1])
 
 
 @pytest.mark.parametrize(

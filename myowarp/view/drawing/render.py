@@ -252,28 +252,6 @@ class WorldRenderer:
             self._overlay.legend(QUANTITIES[self._drawing.color])
         return _shrunk(canvas.read())
 
-    def frame_grid(
-        self,
-        film: Sequence[Snapshot],
-        captions: Sequence[Sequence[str]] = (),
-        columns: int | None = None,
-    ) -> np.ndarray:
-        """Draws several worlds as tiles of one image, row by row.
-
-        Args:
-            film: what each world shows.
-            captions: lines of text for each world; none for no text.
-            columns: tiles in a row; by default the grid is as square as it can be.
-
-        Returns:
-            Image, uint8; each tile has the renderer's width and height. Unused tiles stay blank.
-
-        Raises:
-            ValueError: a shape is wrong, or there is no world.
-        """
-        captions = captions or [()] * len(film)
-        return tiled([self.frame(*world) for world in zip(film, captions, strict=True)], columns)
-
     def close(self) -> None:
         """Frees the OpenGL context; safe to call twice."""
         if self._canvas is not None:
