@@ -96,6 +96,8 @@ class Chromium:
         until, place = time.monotonic() + PATIENCE, None
         while (before := place) != (place := self.run(hit)) or not place[2]:
             assert time.monotonic() < until, f"{kind} with {which} is covered or moves: {place}"
+            # A notice stays as long as the mouse is on it.
+            self.call("Input.dispatchMouseEvent", type="mouseMoved", x=1, y=1)
             time.sleep(0.05)
         for event in ("mousePressed", "mouseReleased"):
             self.call(
