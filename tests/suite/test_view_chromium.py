@@ -223,10 +223,12 @@ NUMBERS = "[...document.querySelectorAll('input.mantine-NumberInput-input')].fil
 def number_input(window, index, value):
     """Paste a value into the box of a slider, which is one control with it.
 
-    Typed figure by figure, the point of 0.5 is lost where the server has just set the box (viser 1.1.1).
+    Another value goes first: viser 1.1.1 ignores the one that it sent last, though the server has set the box.
     """
-    window.run(f"(e => {{e.focus(); e.select()}})({NUMBERS}[{index}])")
-    window.call("Input.insertText", text=f"{value:g}")
+    for text in (f"{value / 2:g}", f"{value:g}"):
+        window.run(f"(e => {{e.focus(); e.select()}})({NUMBERS}[{index}])")
+        window.call("Input.insertText", text=text)
+        time.sleep(TYPING)
     window.call("Input.dispatchKeyEvent", type="keyDown", key="Enter", code="Enter", windowsVirtualKeyCode=13)
     window.run("document.activeElement.blur()")
 
