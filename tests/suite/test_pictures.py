@@ -5,6 +5,7 @@ from contextlib import closing
 import mujoco
 import numpy as np
 import pytest
+from often import of_each
 
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.definitions.body import BODIES
@@ -86,7 +87,7 @@ def place_in_picture(model, camera, points):
     return seen[:, :2] / (half * (seen[:, 2:] + camera.distance))
 
 
-@pytest.fixture(scope="module", params=SCENES)
+@pytest.fixture(scope="module", params=of_each(SCENES))
 def sim(request):
     made = Simulation(TASKS[request.param], 2, device="cpu", graph=False, progress=False)
     made.reset(seeds=np.arange(2))
