@@ -182,7 +182,11 @@ def test_bones_without_meshes_go_from_joint_to_joint(leg):
     assert len(radii) == 2  # thigh and shank; the point that slides is no bone
     np.testing.assert_allclose(starts, data.xpos[[leg.body("thigh").id, leg.body("shank").id]])
     np.testing.assert_allclose(ends, [data.body("shank").xpos, data.site("heel").xpos])
-    for body in OURS:
+
+
+@pytest.mark.parametrize("large", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_bones_of_our_bodies_are_meshes(large):
+    for body in (body for body in OURS if BODIES[body].large == large):
         assert not len(Skeleton(BODIES[body].build().compile()).radii), body
 
 
