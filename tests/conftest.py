@@ -55,14 +55,15 @@ def trusted(step, names, also, progress, conditions=()):
 
 @pytest.hookimpl(tryfirst=True)  # before fixtures of a module are made
 def pytest_runtest_setup(item):
-    """Verify the physics step in tests of the engine alone.
+    """Verify the physics step in tests of verification alone.
 
     A verification compiles the engine's own kernels for every number of degrees of freedom. Without it a
     stage that is wrong acts, where the package would leave it out: the other tests see more of it, not less.
     """
-    shard.choose_stages = choose_stages if item.path.parent.name == "engine" else trusted
+    shard.choose_stages = choose_stages if item.path.name in VERIFYING else trusted
 
 
+VERIFYING = ("test_cache.py", "test_own_paths.py", "test_stages.py", "test_verify.py")
 QUICK = "test_conditions.py"  # one or two seconds
 
 

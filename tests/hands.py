@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 from configurations import configurations
-from stepping import forward, step
+from stepping import forward, repeated_step
 
 import myowarp.tasks.variants  # noqa: F401  (registers the tasks)
 from myowarp.definitions.task import TASKS
@@ -95,8 +95,9 @@ def compare_with_c(sim, models):
     forces = np.take_along_axis(data.actuator_force.numpy(), path, axis=1)
     accelerations = data.qacc.numpy().copy()
     states.load(sim)
+    step = repeated_step(sim.scene, sim.shards[0].stages)
     for _ in range(sim.scene.num_substeps):
-        step(sim.scene, sim.shards[0].stages)
+        step()
     errors = {"force": [], "qacc": [], "qpos": [], "activation": []}
     for world, model in enumerate(models):
         first, last = states.in_c(model, world), states.in_c(model, world, sim.scene.num_substeps)

@@ -11,10 +11,12 @@ from typing import NamedTuple
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
+from stepping import repeated
 
 import myowarp
 from myowarp.definitions.muscle_table import MuscleTable
 from myowarp.definitions.task import TASKS
+from myowarp.engine.patch import engine_kernels_alone
 from myowarp.sim.build import compile_scene
 
 MODEL = """
@@ -122,6 +124,12 @@ def swing(folder, case, dt, like=None):
     muscles.velocity.fill_(speed)
     muscles.settle(wp.ones(1, dtype=bool, device="cpu"))
     edges, values = zip(*here.control, strict=True)
+
+    def launch():
+        with engine_kernels_alone():
+            mjw.step(model, data)
+
+    advance = repeated(launch, "cpu")
     rows = []
     for k in range(round((len(recorded) - 1) * EVERY / dt)):
         if scene == "sine":
@@ -130,7 +138,7 @@ def swing(folder, case, dt, like=None):
             data.qvel.fill_(0.06 * np.pi * np.sin(angle))
         state = data.qpos.numpy()[0, 0], data.qvel.numpy()[0, 0]
         data.ctrl.fill_(values[np.searchsorted(edges, k * dt + 1e-9, side="right") - 1])
-        mjw.step(model, data)
+        advance()
         rows.append((*state, muscles.tension.numpy()[0, 0], muscles.damping.numpy()[0, 0]))
     return Motion(*np.array(rows, float).T)
 

@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Callable, Iterable
 from functools import lru_cache, partial
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +24,10 @@ from myowarp.definitions.scene import Scene
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import PHYSICS, PhysicsPreset, TaskSpec
 from myowarp.definitions.worlds import Worlds
-from myowarp.disk import cached, files_digest, is_ours, model_bytes, model_from_bytes
+from myowarp.disk import cached, files_digest, is_ours, model_bytes, model_from_bytes, version
 from myowarp.engine.arena import Arena
 from myowarp.engine.ground import height_field
+from myowarp.engine.replaced import replaced
 from myowarp.engine.step import uncovered
 from myowarp.engine.stepped import Stepped
 from myowarp.kernels.action import MOTOR, MUSCLE
@@ -298,7 +300,8 @@ def compile_scene(setup: Setup | TaskSpec, num_worlds: int | Worlds, **fields: A
         return data, beside, *Arena(partial(mjw.step, mjw.put_model(stepped), data), where).blocks
 
     check_memory(all_data, spec.world_bytes, worlds.total, where)
-    with wp.ScopedDevice(where):
+    # The engine reads its packages' versions from their files each time that a model is put.
+    with wp.ScopedDevice(where), replaced(metadata, "version", version):
         batched = {"actuator_biasprm", *spec.batched}.union(*(c.batched for c in conditions))
         model = _put_model(spec, stepped, dict.fromkeys(sorted(batched), worlds.number))
         data = make_data(worlds.number)

@@ -6,7 +6,7 @@ import pytest
 
 from myowarp.apps.cli.convert import Convert
 from myowarp.osim.convert import run as command
-from myowarp.osim.document.model import Note
+from myowarp.osim.document.model import Loss, Note
 from myowarp.osim.document.read.components import READERS
 from myowarp.osim.document.read.model import read_model
 from myowarp.sim.converted_step import OurStep
@@ -68,22 +68,29 @@ def converted(path, tmp_path, **options):
     return ""
 
 
-KINDS = sorted(set(READERS) - {"Marker", "CoordinateCouplerConstraint"})
+UNREAD = sorted(set(READERS) - {"Marker", "CoordinateCouplerConstraint"})
+UNREAD = sorted({*UNREAD, "HuntCrossleyForce", "PointOnLineConstraint", "NoOneKnowsForce"})
+"""Kinds of what acts, none of which is read in the test below."""
 
 
-@pytest.mark.parametrize("kind", [*KINDS, "HuntCrossleyForce", "PointOnLineConstraint", "NoOneKnowsForce"])
-def test_what_nobody_reads_is_a_loss(kind, tmp_path, monkeypatch, capsys):
-    """Each kind dropped in turn: --strict fails and names the code that accepts it."""
-    monkeypatch.delitem(READERS, kind, raising=False)
-    place = "constraint" if kind.endswith("Constraint") else "force"
-    path = written(tmp_path, **{place: f'<{kind} name="lost"/>'})
-    failed = converted(path, tmp_path)
-    assert failed.endswith(f"--accept-losses {kind} accepts them")
-    assert f"left out: {kind}, 1, " in capsys.readouterr().out
-    assert f">{kind}</td>" in (tmp_path / "out" / "report.html").read_text()
-    assert converted(path, tmp_path, accept_losses=(kind,)) == ""
-    assert f"left out: {kind}, 1, " in (said := capsys.readouterr().out)
-    assert "accepted by you" in said
+def test_what_nobody_reads_is_a_loss(tmp_path, monkeypatch, capsys):
+    """Each kind: --strict fails and names the codes that accept them, down to the last one."""
+    lost = {"constraint": "", "force": ""}
+    for kind in UNREAD:
+        monkeypatch.delitem(READERS, kind, raising=False)
+        lost["constraint" if kind.endswith("Constraint") else "force"] += f'<{kind} name="lost {kind}"/>'
+    path = written(tmp_path, **lost)
+    assert converted(path, tmp_path).endswith(f"--accept-losses {' '.join(UNREAD)} accepts them")
+    said, page = capsys.readouterr().out, (tmp_path / "out" / "report.html").read_text()
+    assert [kind for kind in UNREAD if f"left out: {kind}, 1, " not in said] == []
+    assert [kind for kind in UNREAD if f">{kind}</td>" not in page] == []
+    *others, last = UNREAD
+    left = converted(path, tmp_path, accept_losses=tuple(others))
+    assert left.endswith(f"; --accept-losses {last} accepts them")
+    capsys.readouterr()
+    assert converted(path, tmp_path, accept_losses=tuple(UNREAD)) == ""
+    lines = [line for line in capsys.readouterr().out.splitlines() if "accepted by you" in line]
+    assert sorted(line.split()[2].rstrip(",") for line in lines) == UNREAD
 
 
 @pytest.mark.parametrize(
@@ -113,8 +120,15 @@ ON = {
 
 
 @pytest.mark.parametrize("code", ON)
-def test_controllers_that_are_on_are_losses(code, tmp_path, capsys):
+def test_controllers_that_are_on_are_losses(code, tmp_path):
     """They act in OpenSim; a set of them may be in another file."""
+    notes = read_model(written(tmp_path, more=ON[code])).notes
+    found = [(note.code, note.effect, note.largest) for note in notes if isinstance(note, Loss)]
+    assert found == [(code, "control", None)]
+
+
+def test_a_controller_is_a_loss_of_unknown_size(tmp_path, capsys):
+    code = "MyReflex"
     path = written(tmp_path, more=ON[code])
     assert converted(path, tmp_path).endswith(f"--accept-losses {code} accepts them")
     assert f"left out: {code}, 1, control, size unknown:" in capsys.readouterr().out

@@ -7,6 +7,7 @@ import mujoco_warp as mjw
 import numpy as np
 import pytest
 from configurations import configurations
+from often import covering, kinds, of_each
 
 import myowarp.sim.capacity as capacity_module
 import myowarp.tasks  # noqa: F401
@@ -60,8 +61,16 @@ def peaks(model, poses, start=None, episodes=1):
     return np.max(met, axis=0)
 
 
-@pytest.mark.parametrize("physics", PHYSICS)
-@pytest.mark.parametrize("name", SCENES)
+CASES = [
+    (name, physics) for name in sorted(SCENES, key=lambda name: TASKS[name].large) for physics in PHYSICS
+]
+FEW = covering(CASES, lambda case: (*kinds(case[0]), case[1]))
+
+
+@pytest.mark.parametrize(
+    ("name", "physics"),
+    [pytest.param(*case, marks=[] if case in FEW else pytest.mark.slow) for case in CASES],
+)
 def test_bounds_hold(name, physics):
     """In any pose; where geoms can touch, in motion: poses put them into each other as motion never does."""
     scene = scene_of(name, physics)
@@ -74,7 +83,7 @@ def test_bounds_hold(name, physics):
     assert bool(contacts) == touching
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", of_each(SCENES))
 def test_engine_does_not_overflow(name):
     scene = scene_of(name, "parity")
     scene.data.qpos.assign(np.float32(poses(scene, scene.num_worlds)))

@@ -10,6 +10,7 @@ import pytest
 import warp as wp
 from converted import motorised, simulation
 from scipy.interpolate import CubicSpline
+from stepping import physics_of
 
 from myowarp.coordinates.free_coordinates import FreeCoordinates
 from myowarp.coordinates.reduction import Reduced
@@ -173,8 +174,7 @@ def place(sim, u, du, ctrl):
 
 
 def physics(sim):
-    with wp.ScopedDevice(sim.scene.device):
-        sim.shards[0]._launch_physics()
+    physics_of(sim)()
 
 
 def states(count, seed=0):
@@ -192,9 +192,9 @@ def test_a_step_is_that_of_float64(tmp_path, integrator, stages):
     assert bool(sim.shards[0].stages) == (stages is None)
     reference, (u, du, ctrl) = Leg(mujoco.MjModel.from_xml_path(str(tmp_path / "model.xml"))), states(37)
     place(sim, u, du, ctrl)
-    h = sim.scene.oracle.opt.timestep
+    h, launch = sim.scene.oracle.opt.timestep, physics_of(sim)
     for step in range(100):
-        physics(sim)
+        launch()
         wanted = []
         for world in range(37):
             M, J, drag, force = reference.smooth(u[world], du[world], ctrl[world])
@@ -256,10 +256,11 @@ def test_energy_stays(tmp_path):
 
         u, du, ctrl = states(4, seed=2)
         place(sim, np.clip(u, -1.9, 0.3), du / 3, 0 * ctrl)
-        physics(sim)
+        launch = physics_of(sim)
+        launch()
         before, speed = energy(), np.abs(sim.scene.data.qvel.numpy()).max()
         for _ in range(round(0.3 / h)):
-            physics(sim)
+            launch()
         assert speed > 1
         lost.append(energy() - before)
     assert np.abs(lost[0]).max() > 0.1

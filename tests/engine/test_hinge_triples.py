@@ -3,8 +3,8 @@
 import mujoco
 import numpy as np
 import pytest
-import warp as wp
 from converted import simulation
+from stepping import physics_of
 
 from myowarp.coordinates.free_coordinates import FreeCoordinates
 from myowarp.coordinates.hinge_triples import NEAR, RETURN, triples_of
@@ -76,11 +76,6 @@ def put(sim, q, u, force):
     data.qacc_warmstart.zero_()
 
 
-def step(sim):
-    with wp.ScopedDevice(sim.scene.device):
-        sim.shards[0]._launch_physics()
-
-
 @pytest.mark.parametrize("lean", LEANS)
 @pytest.mark.parametrize("limit", ["", 'limited="true" range="-9 -8"'])
 def test_accelerations_near_a_pole(tmp_path, lean, limit):
@@ -92,7 +87,7 @@ def test_accelerations_near_a_pole(tmp_path, lean, limit):
     q = q.astype(np.float32).astype(float)
     sim = simulated(tmp_path, worlds, lean=lean, limit=limit)
     put(sim, q, u, force)
-    step(sim)
+    physics_of(sim)()
     model = mujoco.MjModel.from_xml_string(arm(lean=lean, tied=False, limit=limit))
     # The row of a limit is as soft as ours.
     model.dof_invweight0[:] = sim.scene.model.dof_invweight0.numpy()[0][:4]
@@ -131,9 +126,9 @@ def test_motion_runs_through_a_pole(tmp_path, lean):
         start.qpos[:4], start.qvel[:3] = local, twist[:3]
         starts.append(start)
     put(sim, q, u, 0 * q)
-    nearest = np.full(3, 9.0)
+    nearest, step = np.full(3, 9.0), physics_of(sim)
     for _ in range(round(0.4 / h)):
-        step(sim)
+        step()
         at = sim.scene.data.qpos.numpy()[:, 1]
         nearest = np.minimum(nearest, np.abs(np.cos(at + 0.2 + lean)))
     assert (nearest < 0.003).all()
@@ -167,9 +162,9 @@ def test_limits_take_no_turns_for_a_way_back(tmp_path):
     data, pole = mujoco.MjData(model), np.pi / 2 - 0.2
     q = np.array([[a, pole - 0.45, c, 0.5] for a, c in ((60, -63.3), (3.3, -2.8), (0.2, 0.3))])
     put(sim, q, np.array([[0.0, -3.0, 0.2, 0.0]] * 3), 0 * q)
-    energy, M, away = [], np.zeros((4, 4)), np.zeros(3)
+    energy, M, away, step = [], np.zeros((4, 4)), np.zeros(3), physics_of(sim)
     for _ in range(150):
-        step(sim)
+        step()
         state = zip(sim.scene.data.qpos.numpy(), sim.scene.data.qvel.numpy(), strict=True)
         energy.append([])
         for position, speed in state:

@@ -65,7 +65,7 @@ def test_it_is_loaded_from_disk(folder, caplog):
     assert not caplog.records
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(which=st.integers(0, 2), place=st.floats(0.0, 1.0, exclude_max=True), bit=st.integers(0, 7))
 def test_a_bit_flips(folder, caplog, which, place, bit):
     """In machine code, in what Warp notes beside it, or in the list itself."""

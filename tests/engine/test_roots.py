@@ -3,9 +3,9 @@
 import mujoco
 import numpy as np
 import pytest
-import warp as wp
 from configurations import configurations
 from converted import simulation
+from stepping import physics_of
 
 from myowarp.coordinates.free_coordinates import MOST_DENSE, FreeCoordinates
 from myowarp.osim.bundle.couplings import NOTHING, Couplings
@@ -77,11 +77,6 @@ def simulated(folder, said, stages, **changes):
     return sim
 
 
-def step(sim):
-    with wp.ScopedDevice(sim.scene.device):
-        sim.shards[0]._launch_physics()
-
-
 def placed(sim, model):
     """Put worlds into random states; returns them in float64."""
     rng = np.random.default_rng(0)
@@ -120,8 +115,9 @@ def test_steps_are_those_of_mujoco_c(tmp_path, integrator, more, stages):
     kinds = set()
     for world, data in enumerate(states):
         data.qpos, data.qvel, data.qfrc_applied = qpos[world], qvel[world], force[world]
+    step = physics_of(sim)
     for number in range(20):
-        step(sim)
+        step()
         for data in states:
             mujoco.mj_step(model, data)
             kinds |= set(data.efc_type.tolist())
@@ -143,7 +139,7 @@ def test_accelerations_of_joints_that_follow(tmp_path, stages):
     assert sim.shards[0].physics_step.triples is not None
     model = mujoco.MjModel.from_xml_string(written(more=TRIPLE, flags=FREE))
     qpos, qvel, force = placed(sim, model)
-    step(sim)
+    physics_of(sim)()
     glide, knee = (int(model.joint(name).dofadr[0]) for name in ("glide", "knee"))
     at = [int(model.joint(name).qposadr[0]) for name in ("glide", "knee")]
     free = [dof for dof in range(model.nv) if dof != glide]

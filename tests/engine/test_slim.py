@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 from configurations import configurations
-from often import often
+from often import of_each
 
 import myowarp.tasks  # noqa: F401
 from myowarp.definitions.task import TASKS
@@ -73,7 +73,7 @@ def untouched(scene):
         model.opt.disableflags = flag
 
 
-@pytest.mark.parametrize("scene", often(SCENES, ONE_PER_BODY))
+@pytest.mark.parametrize("scene", of_each(SCENES))
 @pytest.mark.usefixtures("untouched")
 def test_slim_moves_like_full(scene):
     """To rounding, but for contacts, which the next test is about."""
@@ -102,7 +102,7 @@ def touches_object(model, data):
 COLLIDING = [name for name, spec in SCENES.items() if spec.body == "contact_hand"]
 
 
-@pytest.mark.parametrize("scene", COLLIDING)
+@pytest.mark.parametrize("scene", of_each(COLLIDING))
 def test_slim_touches_like_full(scene):
     """The same geoms touch, as deep, and accelerate the bodies alike."""
     met, errors = 0, []
@@ -124,7 +124,7 @@ def test_slim_touches_like_full(scene):
     assert met > NUM_STATES / few, "the object touches nothing"
 
 
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("scene", of_each(SCENES))
 def test_slim_is_small_and_keeps_names(scene):
     full, small = models(scene)
     assert small.nsite < full.nsite
@@ -140,7 +140,7 @@ def test_slim_is_small_and_keeps_names(scene):
             assert getattr(small, kind)(i).name == getattr(full, kind)(i).name
 
 
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("scene", of_each(SCENES))
 def test_kept_sites_are_where_they_were(scene):
     full, small = models(scene)
     sites = SCENES[scene].sites

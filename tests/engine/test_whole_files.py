@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from full_disk import full_disk
+from often import often
 
 from myowarp.disk import SCRATCH, check_overwrite, in_place, locked, make_folder, sweep
 
@@ -23,7 +24,7 @@ with in_place(Path(sys.argv[1])) as scratch, scratch.open("w") as file:
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("number", often([signal.SIGINT, signal.SIGTERM, signal.SIGKILL], [signal.SIGKILL]))
 def test_a_process_that_dies_leaves_the_old_file(tmp_path, number):
     """The scratch file of a live process stays, that of a dead one is swept; datasets skip both."""
     path = tmp_path / "a.parquet"

@@ -7,6 +7,7 @@ import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import pytest
+from often import often
 
 from myowarp.apps.rollouts import objects, targets
 from myowarp.apps.studies.audit import audit, runs
@@ -376,14 +377,14 @@ def test_audit_of_a_task_with_an_object():
     assert found.faults == dict.fromkeys(found.faults, 0)
 
 
-@pytest.mark.parametrize(("key", "off"), [("myoHandPose4Fixed", 47.8e-3), ("myoHandPose6Fixed", 47.8e-3)])
-def test_thumb_is_where_it_was_published(key, off):
+@pytest.mark.parametrize("key", often(("myoHandPose4Fixed", "myoHandPose6Fixed"), ("myoHandPose4Fixed",)))
+def test_thumb_is_where_it_was_published(key):
     """MyoSuite 3.0.0 puts the thumb tip of these signs 47.8 mm off; in the axes' order 0.03 mm."""
     found = []
     for version in (0, 1):
         sim = Simulation(TASKS[f"{key}-v{version}"], 1, device="cpu", graph=False, progress=False)
         found.append(targets.measure(sim).thumb_off)
-    assert abs(found[0] - off) < 1e-4
+    assert abs(found[0] - 47.8e-3) < 1e-4
     assert found[1] < 3e-5
 
 

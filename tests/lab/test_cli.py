@@ -13,6 +13,7 @@ import gymnasium as gym
 import mujoco
 import numpy as np
 import pytest
+from often import covering, kinds, often
 
 from myowarp.apps.cli.main import COMMANDS, command
 from myowarp.apps.cli.motion import Motion
@@ -108,7 +109,7 @@ def test_an_error_in_line_100_has_no_picture(run):
 @pytest.mark.parametrize(
     "words",
     [
-        ("describe", ELBOW),
+        pytest.param(("describe", ELBOW), marks=pytest.mark.slow),
         ("motion", "dynamics", "examples/arm.osim", "--motion", "examples/arm_bend.mot", "-o", "{out}"),
     ],
     ids=lambda words: words[0],
@@ -223,11 +224,11 @@ def test_options_of_a_cluster_need_one(run, tmp_path, option):
     assert err == f"myowarp: {option[0]} belongs to a cluster; give it with --ray\n"
 
 
-def test_version_and_module(tmp_path):
-    for module in ("myowarp", "myowarp.apps.cli.main"):
-        command = [sys.executable, "-m", module, "--version"]
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
-        assert done.stdout.startswith(f"myowarp {version('myowarp')} (mujoco {mujoco.__version__}, ")
+@pytest.mark.parametrize("module", often(("myowarp", "myowarp.apps.cli.main"), ("myowarp",)))
+def test_version_and_module(module, tmp_path):
+    command = [sys.executable, "-m", module, "--version"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith(f"myowarp {version('myowarp')} (mujoco {mujoco.__version__}, ")
 
 
 def test_an_id_like_no_other_lists_none(run):
@@ -244,11 +245,11 @@ def test_tasks_of_a_family(run):
     assert 0 < len(ids) < len(TASKS)
 
 
-SMALL_SCENES = [key for key in SCENES if not TASKS[key].large]
+FEW = covering([key for key in SCENES if not TASKS[key].large], kinds)
 
 
 @pytest.mark.parametrize(
-    "keys", [SMALL_SCENES, pytest.param(sorted({*SCENES} - {*SMALL_SCENES}), marks=pytest.mark.slow)]
+    "keys", [FEW, pytest.param(sorted({*SCENES} - {*FEW}), marks=pytest.mark.slow)], ids=["few", "others"]
 )
 def test_tasks_as_json_is_what_the_environments_are(keys, run):
     _, out, _ = run("tasks", "--json")
@@ -535,7 +536,9 @@ def test_error_of_a_process_of_its_own(tmp_path):
     assert_one_sentence(result, "device 'cuda:77' is not available; available: ")
 
 
-@pytest.mark.parametrize("arguments", [("tasks", "--paper"), ("view", "--help")])
+@pytest.mark.parametrize(
+    "arguments", often([("tasks", "--paper"), ("view", "--help")], [("tasks", "--paper")])
+)
 def test_a_reader_that_has_left_ends_the_command_silently(arguments):
     """As `myowarp tasks | head` does; the status is what a shell reports of tools that a signal ends."""
     reading, writing = os.pipe()

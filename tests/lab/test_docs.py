@@ -23,6 +23,7 @@ from benchmarks import readme, result_pages
 from myowarp import extras, motion
 from myowarp.apps.cli import main as cli
 from myowarp.apps.studies.audit import tasks as audit_command
+from myowarp.definitions.body import BODIES
 from myowarp.tasks.outside import find_task
 from myowarp.view.browser.live import Live
 from myowarp.view.browser.trial_page import TrialPage
@@ -294,6 +295,11 @@ def smaller(line):
     return words + ["--quick"] * (words[0] == "reproduce" and not {"--quick", "--list"} & {*words})
 
 
+def quickest(job):
+    """Return what the quickest of the jobs has less of: muscles of its body, steps of an episode."""
+    return job.setup.spec.large, len(BODIES[job.setup.spec.body].groups), job.setup.episode_steps
+
+
 run_page = {kind: kind.run for kind in (Live, TrialPage)}
 
 
@@ -326,8 +332,8 @@ def test_every_command_runs(page, lines, tmp_path, monkeypatch, run, request):
     monkeypatch.chdir(tmp_path)
     for kind in run_page:
         monkeypatch.setattr(kind, "run", visited)
-    first = audit_command.find_jobs
-    monkeypatch.setattr(audit_command, "find_jobs", lambda *which: first(*which)[:1])
+    every = audit_command.find_jobs
+    monkeypatch.setattr(audit_command, "find_jobs", lambda *which: [min(every(*which), key=quickest)])
     for line in lines:
         status, _, err = run(*smaller(line))
         if status and "drawing needs OpenGL" in err:

@@ -113,6 +113,7 @@ def test_unrolled_graphs_step_alike(monkeypatch):
     np.testing.assert_array_equal(*runs)
 
 
+@pytest.mark.slow  # compiles a step whole, as tests/engine/test_whole_step.py does
 def test_whole_step():
     (row,) = whole_step(CASE, OPTIONS)
     assert row["ratio_to_stages"] > 0

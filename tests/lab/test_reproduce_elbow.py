@@ -8,6 +8,7 @@ import sys
 import mujoco
 import numpy as np
 import pytest
+from often import often
 from rich.console import Console
 
 from benchmarks import experiments
@@ -81,7 +82,7 @@ def values(result, quantity):
     return rows
 
 
-@pytest.mark.parametrize("name", ELBOW)
+@pytest.mark.parametrize("name", often(ELBOW, ("exo1",)))
 def test_an_experiment_writes_all_it_should(name, found):
     folder, result = found(name)
     assert {path.name for path in folder.iterdir()} == {*FILES, "runs"}
@@ -248,6 +249,7 @@ def test_endurance_is_that_of_the_differential_equation(load, rates):
     assert endurance.closed_form(load, rates) == pytest.approx(held_for(load, rates), rel=2e-3)
 
 
+@pytest.mark.slow
 def test_endurance_in_the_simulation_and_in_people(found):
     """Half of the maximum: 83 s in people (Frey Law, Avin 2010); the simulation holds what the rates say."""
     _, result = found("fatigue")
@@ -276,6 +278,7 @@ def test_assistance_relieves_every_flexor(found):
     assert error[own["2 kg, without"]] > error[own["0 kg, without"]]
 
 
+@pytest.mark.slow
 def test_weak_and_tiring_arms_err_more(found):
     _, result = found("exo2")
     error = values(result, "error of the elbow angle")
@@ -316,6 +319,7 @@ def test_a_motor_without_command_is_no_motor():
     assert np.abs(off.angle[-1, 0] - on.angle[-1, 0]) > 0.5
 
 
+@pytest.mark.slow
 def test_a_weak_arm_works_harder(found):
     _, result = found("sarcopenia")
     for quantity in ("error of the elbow angle", "effort, mean activation of the six muscles"):
@@ -341,6 +345,7 @@ def test_shares_of_least_norm_are_those_of_a_pseudoinverse():
     assert np.ptp(np.mean(shares, axis=0)) > 0.1
 
 
+@pytest.mark.slow
 def test_a_dearer_effort_is_a_smaller_one(found):
     _, result = found("sarcopenia")
     effort = values(result, "effort, mean activation of the six muscles")
@@ -350,6 +355,7 @@ def test_a_dearer_effort_is_a_smaller_one(found):
         assert sum(row[who] for row in shares) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_fatigue_raises_the_error(found):
     _, result = found("fatigue")
     first, last = (values(result, f"error, {which} repetition") for which in ("first", "last"))
@@ -371,12 +377,14 @@ def test_what_a_patient_needs_is_the_least_level_that_holds():
     assert cohort_exo.slope(np.arange(4.0), need) == pytest.approx(0.375 / np.sqrt(1.25 * 1.125))
 
 
+@pytest.mark.slow
 def test_the_weaker_need_more_assistance(found):
     _, result = found("cohort-exo")
     assert values(result, "rank correlation of need and strength")["all patients"] < -0.5
     assert values(result, "error saved by 100 % assistance")["the weaker half"] > 1.0
 
 
+@pytest.mark.slow
 def test_slow_recovery_carries_fatigue_over(found):
     folder, result = found("recovery")
     morning = values(result, "fatigued fraction, third morning")

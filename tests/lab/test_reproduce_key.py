@@ -89,6 +89,7 @@ def test_conditions_take_success_from_policies(found):
     assert set(after) == {f"{conditions.QUICK_TASKS[1]}, {name}" for name in ("none", "tear")}
 
 
+@pytest.mark.slow
 def test_the_grid_shows_the_policies_of_the_package(found):
     """The elbow's 24 cells; where nothing is changed the evaluation of the baseline holds."""
     result, folder = found("grid", num_worlds=8)
@@ -173,6 +174,7 @@ def test_a_finished_tear_is_not_run_again(found, monkeypatch):
     assert json.loads((folder / "result.json").read_text())["merits"] == result["merits"]
 
 
+@pytest.mark.slow
 def test_retraining_turns_the_key_again(found):
     result, _ = found("transfer")
     rotation = ours(result, "rotation of the key, mean actions")
@@ -254,6 +256,7 @@ def test_differences_are_root_mean_squares():
     assert other.arm_rms > 1.0
 
 
+@pytest.mark.slow
 def test_validation_has_the_sign_and_size_of_the_paper(found):
     result, _ = found("validation", models=(ARM26,))
     arms = ours(result, "moment arms, RMS difference")
@@ -308,6 +311,7 @@ def test_validation_refuses_other_models(tmp_path):
         Reproduce(Said(Setup()), name="validation", output=tmp_path, models=(tmp_path / "none.osim",))()
 
 
+@pytest.mark.slow
 def test_speed_grows_with_the_muscles(found):
     result, _ = found("speed")
     table = json.loads(speed.RECORD.read_text())["models"]["arm26"]["copies"]
@@ -326,6 +330,7 @@ def test_samples_until_it_is_learned():
     assert np.isnan(baselines.samples_to(curve, 0.99))
 
 
+@pytest.mark.slow
 def test_success_is_that_of_the_evaluations(found):
     result, _ = found("baselines")
     for task in baselines.baseline_tasks():

@@ -80,6 +80,8 @@ def test_dynamics(arm, recorded, wanted, tmp_path):
     found = dynamics(arm, recorded)
     found.write(tmp_path)
     np.testing.assert_allclose(found.needed.joint_moment, wanted, atol=WRITTEN)
+    if not prescribed_loads(arm, TIME):  # which are loads, as others from outside
+        np.testing.assert_allclose(found.needed.passive, BARE - wanted, atol=WRITTEN)
     table = read_storage(tmp_path / "moments.sto")
     np.testing.assert_allclose(table.values, wanted, atol=WRITTEN)
 

@@ -119,11 +119,11 @@ def test_springs_and_limits_are_their_laws(tmp_path):
     assert np.abs(law[[0, 3]]).min() > 10.0
 
 
-ELSEWHERE = ("tube", "wind")
-"""Forces of `test_every_force.py`: a light one, and one that acts over time."""
+TOGETHER = [name for name in RECORDED["moments"] if name == "motor" or name not in RECORDED["forces"]]
+"""No force, a motor, and several together; the others are in `test_every_force.py`, class by class."""
 
 
-@pytest.mark.parametrize("name", [name for name in RECORDED["moments"] if name not in ELSEWHERE])
+@pytest.mark.parametrize("name", TOGETHER)
 def test_moments_are_those_of_opensim(name, tmp_path):
     theirs, bare = (np.array(RECORDED["moments"][key]) for key in (name, ""))
     found = needed(arm(tmp_path, name))

@@ -7,7 +7,8 @@ import mujoco
 import numpy as np
 import pytest
 from contact_oracle import FRESH, KEYS, NUM_WORLDS, oracle_data, padded, recorded, simulation, write_episodes
-from stepping import forward, step
+from often import of_each
+from stepping import forward, repeated_step
 
 from myowarp.definitions.task import TASKS
 
@@ -31,7 +32,7 @@ ROUNDED = 2  # states in which float32 may count otherwise; measured 0 of 1,600
 MOST = {"die": 0.8}  # of the states have no pair of geoms within rounding of its margin; others: 0.85
 
 
-@pytest.mark.parametrize("key", KEYS)
+@pytest.mark.parametrize("key", of_each(KEYS))
 def test_contacts_are_those_of_upstream(key):
     """Contacts and constraint rows of 200 random states: MyoSuite, MuJoCo C on our model, and the engine."""
     (record, meta), sim = recorded(key), simulation(key)
@@ -90,8 +91,9 @@ def test_one_control_step_of_physics(key, record_property):
 
     data = sim.scene.data
     data.ctrl.assign(padded(record["replay_ctrl"]))
+    step = repeated_step(sim.scene, sim.shards[0].stages)
     for _ in range(num_substeps):
-        step(sim.scene, sim.shards[0].stages)
+        step()
     error = np.abs(data.qpos.numpy()[:n] - after).max(axis=1)[sure]
     record_property("qpos median", float(np.median(error)))
     record_property("qpos worst", float(error.max()))
@@ -104,7 +106,7 @@ def test_one_control_step_of_physics(key, record_property):
     assert np.abs(activation - record["replay_act_after"]).max() < ACTIVATION_TOLERANCE
 
 
-@pytest.mark.parametrize("key", KEYS)
+@pytest.mark.parametrize("key", of_each(KEYS))
 def test_rollouts(key):
     """Substeps from the reset state, the muscles at rest and excited at random."""
     (record, meta), sim = recorded(key), simulation(key)
@@ -120,9 +122,10 @@ def test_rollouts(key):
         oracle.append(data.qpos.copy())
     after = record["rollout_qpos_after"]
     assert np.abs(np.array(oracle[len(excited) :]) - after).max() < 100 * MODEL_TOLERANCE
+    step = repeated_step(sim.scene, sim.shards[0].stages)
     for i in range(ctrl.shape[1]):
         sim.scene.data.ctrl.assign(padded(ctrl[:, i]))
-        step(sim.scene, sim.shards[0].stages)
+        step()
     error = np.abs(sim.scene.data.qpos.numpy()[:n] - np.array(oracle)).max(axis=1)
     at_rest, moved = np.split(error, 2)
     assert at_rest.max() < ROLLOUT_TOLERANCES[meta["task"]]

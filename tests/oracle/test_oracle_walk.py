@@ -13,7 +13,7 @@ import pytest
 import warp as wp
 from contact_oracle import recorded_ids
 from data.recording import rough_heights
-from stepping import forward, step
+from stepping import forward, repeated_step
 from test_oracle import DATA, QPOS_TOLERANCE, WALKING
 
 from myowarp.definitions.task import TASKS
@@ -133,8 +133,9 @@ def test_one_control_step_of_physics(key, record_property):
     record, _ = recorded(key)
     sim = simulation(key, record, "replay", "_before")
     sim.scene.data.ctrl.assign(record["replay_ctrl"])
+    step = repeated_step(sim.scene, sim.shards[0].stages)
     for _ in range(sim.scene.num_substeps):
-        step(sim.scene, sim.shards[0].stages)
+        step()
     error = np.abs(sim.scene.data.qpos.numpy() - record["replay_qpos_after"]).max(axis=1)
     record_property("qpos median", float(np.median(error)))
     record_property("qpos worst", float(error.max()))

@@ -8,6 +8,7 @@ import pytest
 import warp as wp
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from often import of_each
 
 from myowarp.bridge_gym import NO_HORIZON, MyoWarpEnv, MyoWarpVectorEnv
 from myowarp.definitions.task import TASKS
@@ -86,7 +87,7 @@ def assert_info_agrees(ours, theirs):
         assert not mask.any(), key
 
 
-@pytest.mark.parametrize("key", SCENES)
+@pytest.mark.parametrize("key", of_each(SCENES))
 def test_gymnasium_accepts_every_scene(key):
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 import warp as wp
+from often import goals, of_each
 
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.task import TASKS
@@ -97,7 +98,7 @@ def alive(key):
     return walked(key)[1]
 
 
-@pytest.mark.parametrize("key", KEYS)
+@pytest.mark.parametrize("key", of_each(KEYS))
 def test_observation_is_alive(key):
     """No observation column is constant but where it shows a goal, alone, that other variants draw."""
     spec = TASKS[key]
@@ -113,7 +114,7 @@ def test_observation_is_alive(key):
     assert num_dead <= MOST_DEAD.get(spec.family, 3), "more than one vector is constant"
 
 
-@pytest.mark.parametrize("key", SCENES)
+@pytest.mark.parametrize("key", of_each(SCENES))
 def test_world_is_independent_of_the_batch(key):
     """World i goes the same way among 7 and among 64 worlds, resets included."""
     small, large = few(key), trajectory(simulation(key, 64))
@@ -122,7 +123,7 @@ def test_world_is_independent_of_the_batch(key):
     assert_same(small, large, slice(0, 7))
 
 
-@pytest.mark.parametrize("key", SCENES)
+@pytest.mark.parametrize("key", of_each(SCENES))
 def test_eager_is_the_graph(key):
     assert_same(few(key), trajectory(simulation(key, 7, graph=False)), slice(0, 7))
 
@@ -133,7 +134,7 @@ def test_world_is_independent_of_a_large_batch(key):
 
 
 @pytest.mark.parametrize("autoreset", ["same_step", "next_step"])
-@pytest.mark.parametrize("key", SCENES)
+@pytest.mark.parametrize("key", of_each(SCENES))
 def test_a_broken_world_breaks_alone(key, autoreset):
     """NaN in one world's qvel: flagged once, ended, reset; the others do not notice, bit for bit."""
     broken, moment = 3, 2
@@ -165,7 +166,7 @@ def drawn(sim):
     return np.concatenate([array.numpy().reshape(sim.num_worlds, -1) for array in arrays], axis=1)
 
 
-@pytest.mark.parametrize("key", KEYS)
+@pytest.mark.parametrize("key", of_each(KEYS, goals))
 def test_seed_decides(key):
     """The seed of a world decides what it draws, episode after episode; random ids draw, fixed ids do not."""
     (first, second, *again), _ = walked(key)
@@ -178,7 +179,7 @@ def test_seed_decides(key):
         assert len(np.unique(first, axis=0)) == 1
 
 
-@pytest.mark.parametrize("key", SCENES)
+@pytest.mark.parametrize("key", of_each(SCENES))
 def test_masked_reset_touches_only_its_worlds(key):
     sim = Simulation(TASKS[key], 6, device="cpu", graph=False, progress=False)
     sim.reset(seeds=np.arange(6))

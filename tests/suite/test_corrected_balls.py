@@ -8,7 +8,7 @@ import mujoco_warp as mjw
 import numpy as np
 import pytest
 from configurations import configurations
-from stepping import forward, step
+from stepping import forward, repeated_step
 
 from myowarp.definitions.task import TASKS
 from myowarp.sim.build import full_spec
@@ -243,8 +243,9 @@ def test_control_step_of_light_balls(record_property):
         mujoco.mj_step(model, state, sim.scene.num_substeps)
         touched += np.isin(state.contact.geom, [model.geom(ball).id for ball in BALLS]).any()
         after.append(state.qpos.copy())
+    step = repeated_step(sim.scene, sim.shards[0].stages)
     for _ in range(sim.scene.num_substeps):
-        step(sim.scene, sim.shards[0].stages)
+        step()
     error = np.abs(data.qpos.numpy() - np.array(after)).max(axis=1)
     record_property("qpos median", float(np.median(error)))
     record_property("qpos worst", float(error.max()))

@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 import warp as wp
+from often import of_each
 from test_random import KOLMOGOROV, uniform_distance
 
 from myowarp.definitions.task import TASKS
@@ -207,7 +208,7 @@ def test_upstream_is_compared():
     assert {TASKS[key].family for key in DISTINCT} == {TASKS[key].family for key in DRAWS}
 
 
-@pytest.mark.parametrize("key", DISTINCT, scope="module")  # both tests of an id share its scene
+@pytest.mark.parametrize("key", of_each(DISTINCT), scope="module")  # both tests of an id share its scene
 def test_distribution(key):
     check_distribution(key)
 
@@ -244,7 +245,7 @@ def check_distribution(key):
     assert np.abs(correlation).max() < SIGMAS / np.sqrt(NUM_WORLDS)
 
 
-@pytest.mark.parametrize("key", DISTINCT, scope="module")  # both tests of an id share its scene
+@pytest.mark.parametrize("key", of_each(DISTINCT), scope="module")  # both tests of an id share its scene
 def test_draws_depend_on_seed_and_episode_alone(key):
     """Not on a world's place, nor on the number of worlds; where the mask is off nothing is drawn."""
 

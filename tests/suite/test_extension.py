@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 import pytest
 import test_draws
+from often import often
 from registries import as_before
 
 import myowarp
@@ -44,6 +45,7 @@ FILES = {
     "mjcf.py:pose": ({}, ()),
     "mjcf.py:reach": ({}, ()),
 }
+FEW = ("family.py:wide", "muscle.py:elastic", "mjcf.py:reach")
 
 
 @pytest.fixture(autouse=True)
@@ -94,10 +96,13 @@ class OwnProgram(myowarp.Program):
 """A program that draws by a kernel of its own, into an array that it does not list as state."""
 
 
-@pytest.mark.parametrize(("name", "listed"), [*((name, True) for name in FILES), ("family.py:wide", False)])
-def test_a_state_goes_on(folder, name, listed):
+@pytest.mark.parametrize(
+    "case", often([*FILES, "family.py:wide, not listed"], [*FEW, "family.py:wide, not listed"])
+)
+def test_a_state_goes_on(folder, case):
     """Bit for bit over another number of shards, whether arrays are allocated as state or by Warp alone."""
-    if not listed:
+    name, _, unlisted = case.partition(", ")
+    if unlisted:
         family = folder / "family.py"
         text = family.read_text()
         own = text.replace('array="target"', 'array=""')
@@ -146,7 +151,7 @@ def test_made_stepped_and_rendered(folder, name):
     single.close()
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", often(FILES, FEW))
 def test_on_the_command_line(folder, run, name):
     arguments = ("--num-worlds", 4, "--steps", 3, "--device", "cpu", "--json", *FILES[name][1])
     status, out, err = run("rollout", name, *arguments)

@@ -5,7 +5,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from stepping import step
+from stepping import repeated_step
 
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.setup import Setup
@@ -78,8 +78,9 @@ def test_moves_like_mujoco():
     ctrl = np.random.default_rng(0).uniform(0.0, 0.5, (NUM_WORLDS, model.nu)).astype(np.float32)
     sim.scene.data.ctrl.assign(ctrl)
     start = sim.scene.data.qpos.numpy().astype(float)
+    step = repeated_step(sim.scene, sim.shards[0].stages)
     for _ in range(NUM_STEPS):
-        step(sim.scene, sim.shards[0].stages)
+        step()
     for world in range(NUM_WORLDS):
         data = mujoco.MjData(model)
         data.qpos[:], data.ctrl[:] = start[world], ctrl[world]

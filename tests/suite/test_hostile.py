@@ -38,7 +38,7 @@ MUSCLES = ("TRIlong", "TRIlat", "TRImed", "BIClong", "BICshort", "BRA")
 ROOT = Path(__file__).parents[2]
 
 fixtures = HealthCheck.function_scoped_fixture
-several = settings(max_examples=60, deadline=None, suppress_health_check=[fixtures])
+several = settings(max_examples=25, deadline=None, suppress_health_check=[fixtures])
 anything = st.one_of(
     st.none(),
     st.booleans(),

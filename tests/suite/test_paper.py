@@ -5,6 +5,7 @@ from collections import Counter
 import gymnasium
 import numpy as np
 import pytest
+from often import covering, often
 
 import myowarp  # noqa: F401
 from myowarp.definitions.task import RESETS, TASKS
@@ -16,10 +17,12 @@ TIRING = [row for row in HARD if row.condition == "fatigue" and row.reset == "fi
 SHOWN = [row for row in HARD if row.condition == "none" or row.reset == "fixed"]
 
 
-def marked(row):
-    """Return a cell, slow where its table of random starts takes half a minute (see test_starts.py)."""
-    slow = row.reset == "random" and TASKS[row.task].body == "contact_hand"
-    return pytest.param(row, id=row.id, marks=[pytest.mark.slow] if slow else [])
+def long(row):
+    """Return whether a cell's table of random starts takes half a minute (see test_starts.py)."""
+    return row.reset == "random" and TASKS[row.task].body == "contact_hand"
+
+
+FEW = covering([row for row in SHOWN if not long(row)], lambda row: (row.family, row.condition, row.reset))
 
 
 def test_the_grid_is_the_papers():
@@ -37,7 +40,7 @@ def test_the_grid_is_the_papers():
         assert (spec.kwargs["task"], spec.kwargs["reset"]) == (row.task, row.reset)
 
 
-@pytest.mark.parametrize("row", [marked(row) for row in SHOWN])
+@pytest.mark.parametrize("row", often(SHOWN, FEW), ids=lambda row: row.id)
 def test_cells_run(row):
     env = gymnasium.make_vec(row.id, num_envs=2, device="cpu", progress=False)
     sim = env.unwrapped.sim
@@ -54,9 +57,7 @@ def test_cells_run(row):
     env.close()
 
 
-@pytest.mark.parametrize(
-    "row", [row for row in HARD if row.condition == "fatigue" and row.reset == "fixed"][:3]
-)
+@pytest.mark.parametrize("row", often(TIRING, TIRING[:1]), ids=lambda row: row.id)
 def test_fatigue_matters_within_an_episode(row):
     """c = exp(-k int F / F_max dt), k = 1/s: a second of full drive costs up to 1 - 1 / e, in 1/min 2 %."""
     env = gymnasium.make_vec(row.id, num_envs=2, device="cpu", progress=False, autoreset_mode="Disabled")

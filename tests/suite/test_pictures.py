@@ -5,6 +5,7 @@ from contextlib import closing
 import mujoco
 import numpy as np
 import pytest
+from often import of_each
 
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.definitions.body import BODIES
@@ -86,7 +87,7 @@ def place_in_picture(model, camera, points):
     return seen[:, :2] / (half * (seen[:, 2:] + camera.distance))
 
 
-@pytest.fixture(scope="module", params=SCENES)
+@pytest.fixture(scope="module", params=of_each(SCENES))
 def sim(request):
     made = Simulation(TASKS[request.param], 2, device="cpu", graph=False, progress=False)
     made.reset(seeds=np.arange(2))
@@ -181,7 +182,11 @@ def test_bones_without_meshes_go_from_joint_to_joint(leg):
     assert len(radii) == 2  # thigh and shank; the point that slides is no bone
     np.testing.assert_allclose(starts, data.xpos[[leg.body("thigh").id, leg.body("shank").id]])
     np.testing.assert_allclose(ends, [data.body("shank").xpos, data.site("heel").xpos])
-    for body in OURS:
+
+
+@pytest.mark.parametrize("large", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_bones_of_our_bodies_are_meshes(large):
+    for body in (body for body in OURS if BODIES[body].large == large):
         assert not len(Skeleton(BODIES[body].build().compile()).radii), body
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from often import of_each
 
 from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
@@ -19,7 +20,7 @@ def simulation(key, reset, **options):
     return sim
 
 
-@pytest.mark.parametrize("key", SCENES)
+@pytest.mark.parametrize("key", of_each(SCENES))
 def test_fixed(key):
     """Every world starts in the task's start posture."""
     sim = simulation(key, "fixed")
@@ -30,7 +31,7 @@ def test_fixed(key):
     )
 
 
-@pytest.mark.parametrize("key", SCENES)
+@pytest.mark.parametrize("key", of_each(SCENES))
 def test_none_carries_the_state_over(key):
     """Ends of episodes leave the mechanics alone, bit for bit; goals and counters are new."""
     free, short = simulation(key, "none", horizon=1000), simulation(key, "none", horizon=3)

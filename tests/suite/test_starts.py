@@ -5,6 +5,7 @@ from functools import lru_cache
 import mujoco
 import numpy as np
 import pytest
+from often import of_each
 
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.task import TASKS
@@ -85,7 +86,7 @@ def random_rotation(rng):
     return matrix.reshape(3, 3)
 
 
-@pytest.mark.parametrize("key", CARRYING)
+@pytest.mark.parametrize("key", of_each(CARRYING))
 def test_coordinates_give_the_pose(key):
     """Free joint, and three slides and hinges: MuJoCo's forward kinematics finds the pose asked for."""
     model, rng = model_of(key), np.random.default_rng(0)
@@ -123,7 +124,7 @@ def test_palm_is_one_rigid_body():
     assert model.body_weldid[model.site_bodyid[model.site("palm_frame").id]] == palm
 
 
-@pytest.mark.parametrize("key", CARRYING)
+@pytest.mark.parametrize("key", of_each(CARRYING))
 def test_objects_keep_their_place_in_the_palm(key):
     """T_palm^-1 T_object is that of the task's own start, in every row of the table."""
     spec, model = TASKS[key], model_of(key)
@@ -142,7 +143,7 @@ def test_objects_keep_their_place_in_the_palm(key):
     assert np.linalg.norm(np.ptp(moves, axis=0)) > MOVED
 
 
-@pytest.mark.parametrize("key", SCENES)
+@pytest.mark.parametrize("key", of_each(SCENES))
 def test_starts_are_rows_of_the_table(key):
     """They differ and lie within the ranges; what does not lie in the hand is where the task puts it."""
     sim, fixed = simulation(key, num_worlds=24), simulation(key, "fixed", num_worlds=24)
@@ -183,7 +184,7 @@ def depths(model, qpos):
     return deepest
 
 
-@pytest.mark.parametrize("key", TOUCHING)
+@pytest.mark.parametrize("key", of_each(TOUCHING))
 def test_nothing_penetrates_deeper_than_in_the_start(key):
     """No pair of geoms; objects to hold at their largest, balls and keys nominal."""
     spec, model = TASKS[key], oracle_model(TASKS[key])
@@ -197,7 +198,7 @@ def test_nothing_penetrates_deeper_than_in_the_start(key):
             assert depth <= allowed.get(pair, 0.0) + 1.1 * PENETRATION, [model.geom(g).name for g in pair]
 
 
-@pytest.mark.parametrize("key", SCENES)
+@pytest.mark.parametrize("key", of_each(SCENES))
 def test_starts_do_not_fail_at_once(key):
     """With sizes, masses, places and goals as the task draws them, in seeds that the search did not use."""
     assert share_failing(key) < FAILING

@@ -16,6 +16,7 @@ import pytest
 import warp as wp
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from often import of_each
 from test_conditions import NAMES, host_of
 
 from myowarp.definitions.condition import CONDITIONS
@@ -80,7 +81,7 @@ def assert_goes_on(key, path, shards, **options):
     assert ends[0].arrays["keys.episode"].min() > 1  # resets came between
 
 
-@pytest.mark.parametrize("key", SCENES)
+@pytest.mark.parametrize("key", of_each(SCENES))
 def test_every_family_goes_on(key, tmp_path):
     assert_goes_on(key, tmp_path / "state.npz", shards=2)
 
@@ -162,7 +163,7 @@ FOLLOWS = re.compile(r"TendonTransferEffect\.(affected|healthy)|Mujoco\w*Params\
 """Arrays with a row for each world that every control step writes anew before it reads them."""
 
 
-@pytest.mark.parametrize("key", SCENES)
+@pytest.mark.parametrize("key", of_each(SCENES))
 def test_what_a_task_allocates_is_state(key):
     """An array with a row for each world that is not in the state would be forgotten."""
     n = 31

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 import warp as wp
+from often import of_each
 
 import myowarp.tasks
 from myowarp.definitions.body import BODIES, CAUTIOUS_STEP, CoarseStep
@@ -107,7 +108,7 @@ def state(sim):
     return arrays
 
 
-@pytest.mark.parametrize("key", SCENES)
+@pytest.mark.parametrize("key", of_each(SCENES))
 def test_score_only_looks(key):
     """Twice the same terms, whatever stood there, and nothing moves; late in the episode, too."""
     sim = Simulation(TASKS[key], NUM_WORLDS, device="cpu", graph=False, progress=False)

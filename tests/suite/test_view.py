@@ -5,6 +5,7 @@ import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import pytest
+from often import often
 
 from myowarp.definitions.task import TASKS
 from myowarp.sim.build import full_spec
@@ -18,7 +19,7 @@ SIZE = (160, 120)
 BODIES = {TASKS[key].body: key for key in TASKS}
 
 
-@pytest.fixture(scope="module", params=BODIES)
+@pytest.fixture(scope="module", params=often(BODIES, ("elbow", "contact_hand")))
 def model(request):
     return full_spec(TASKS[BODIES[request.param]]).compile()
 

@@ -1,11 +1,19 @@
 """Models that myo-sim puts together itself, from parts of its own."""
 
+from functools import cache
+
 import mujoco
 from myo_sim.build.compose import build_spec
 
 
 def composed(name: str) -> mujoco.MjSpec:
-    """Return a fresh spec of one of myo-sim's composed models.
+    """Return a fresh spec of one of myo-sim's composed models."""
+    return _put_together(name).copy()
+
+
+@cache
+def _put_together(name: str) -> mujoco.MjSpec:
+    """Return the spec that is copied, which takes a second.
 
     myo-sim joins its parts without a prefix for names, of which MuJoCo warns, at every compilation of that
     spec and not of a copy.

@@ -4,6 +4,8 @@ Source: myo-sim 0.2.3, the hand cut from the composed right arm, placed as MyoSu
 its hand pose and hand reach tasks. Everything proximal to the radius is welded to the world.
 """
 
+from functools import cache
+
 import mujoco
 from myo_sim.build.compose import build_right_hand_from_arm_spec
 
@@ -14,9 +16,15 @@ ROOT_POS = (-0.02525155, 0.07146933, 1.39249298)  # m
 ROOT_QUAT = (0.52167746, 0.46981366, -0.47875126, -0.52718591)  # w, x, y, z
 
 
+@cache
+def _cut() -> mujoco.MjSpec:
+    """Return the hand as myo-sim cuts it from the arm, which takes a second."""
+    return build_right_hand_from_arm_spec()
+
+
 def hand() -> mujoco.MjSpec:
     """Return the hand; all joint angles 0 is the open hand."""
-    spec = build_right_hand_from_arm_spec()
+    spec = _cut().copy()
     root = spec.body("myoarm_r_root")
     root.pos = ROOT_POS
     root.quat = ROOT_QUAT
