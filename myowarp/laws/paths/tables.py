@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from myowarp.kernels.lanes import WIDEST
+from myowarp.kernels.launch import launch
 from myowarp.kernels.structs import struct_array
 from myowarp.laws.paths.ellipsoid import AXIAL, HYBRID, MIDPOINT, SAMPLED
 from myowarp.laws.paths.path import (
@@ -27,6 +29,7 @@ from myowarp.laws.paths.path import (
     Surface,
     follow_paths,
 )
+from myowarp.laws.paths.polynomials import follow_polynomials
 
 KINDS = {"cylinder": int(CYLINDER), "sphere": int(SPHERE), "ellipsoid": int(ELLIPSOID), "torus": int(TORUS)}
 METHODS = {"hybrid": int(HYBRID), "midpoint": int(MIDPOINT), "axial": int(AXIAL)}
@@ -278,6 +281,11 @@ class PathMemory:
         self.tables.first_coefficient = wp.array(ends, dtype=int)
         self.tables.coefficient = wp.array(coefficients or [0.0], dtype=wp.float64)
         self.worlds, self.number = worlds, len(paths)
+        functions = [path.polynomial is not None for path in described.paths.values()]
+        in_lanes = np.array(functions, bool) & wp.get_device().is_cpu
+        self._polynomials = wp.array(np.flatnonzero(in_lanes), dtype=int)
+        self._others = wp.array(np.flatnonzero(~in_lanes), dtype=int)
+        self._scratch = wp.empty((max(values, 1) + 1) * WIDEST, dtype=wp.float64)
         self.frames, self.memory, self.pulls = Frames(), Followed(), Pulls()
         real, vec, mat = wp.float64, wp.vec3d, wp.mat33d
         for owner, name, columns, kind in (
@@ -309,9 +317,20 @@ class PathMemory:
 
     def launch(self) -> None:
         """Follow all paths in the frames as they are."""
-        wp.launch(
-            follow_paths if wp.get_device().is_cpu else FOLLOW_ON_CUDA,
-            dim=(self.worlds, self.number),
-            inputs=[self.tables, self.frames],
-            outputs=[self.memory, self.pulls],
-        )
+        if self._polynomials.size:
+            launch(
+                follow_polynomials,
+                1,
+                self.pulls,
+                self.frames,
+                tables=self.tables,
+                numbers=self._polynomials,
+                scratch=self._scratch,
+            )
+        if self._others.size:
+            launch(
+                follow_paths if wp.get_device().is_cpu else FOLLOW_ON_CUDA,
+                (self.worlds, self._others.size),
+                self,
+                numbers=self._others,
+            )
