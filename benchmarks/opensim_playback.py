@@ -61,7 +61,7 @@ def played(file: Path, record: Any, step: float | None, back: bool) -> dict[str,
 
     def begin(qvel: np.ndarray) -> None:
         place(sim, {"data.qpos": qpos, "data.qvel": qvel}, np.arange(number))
-        scene.muscles.activation.fill_(meta["activation"])
+        scene.muscles.activation.assign(record["activation"][:, muscles].astype(np.float32))
         scene.muscles.fiber_length.assign(record["fibers"][:, muscles].astype(np.float32))
 
     begin(qvel)

@@ -4,9 +4,11 @@
 
 The model gets its function paths, contact and expression forces, as Moco's example adds them, and is written
 to `whole.osim`. Each motion begins in a pose of the recorded walk, with its speeds, muscles in OpenSim's
-equilibrium at `ACTIVATION`, and runs under constant excitations, integrated to 1e-7. `playback.npz`
-has, every 10 ms, coordinates and speeds, shape (starts, samples, coordinates), and the force of each contact
-on its sphere's body [N], (starts, samples, contacts, 3); at the start, fiber lengths [m]; and excitations.
+equilibrium at `ACTIVATION`, and runs under constant excitations, integrated to 1e-7. The recorded pose presses
+feet into the ground with up to 6 kN; `SETTLE` later the motion that is compared begins. `playback.npz` has,
+every 10 ms from then on, coordinates and speeds, shape (starts, samples, coordinates), and the force of each
+contact on its sphere's body [N], (starts, samples, contacts, 3); where it begins, activations, fiber lengths
+[m], tendon forces [N] and accelerations; and excitations.
 """
 
 import argparse
@@ -20,7 +22,7 @@ import opensim
 
 STARTS = (0.5, 0.75, 1.0, 1.25, 1.5)
 """s of the recorded walk."""
-SECONDS, EVERY = 0.2, 0.01
+SETTLE, SECONDS, EVERY = 0.05, 0.2, 0.01
 ACTIVATION = 0.1
 ACCURACY = 1e-7
 SETS = ("ContactGeometrySet", "ContactForceSet", "ExpressionBasedCoordinateForceSet", "FunctionBasedPathSet")
@@ -75,19 +77,24 @@ def motion(file: Path, walk: Any, begin: float, excitation: np.ndarray) -> dict[
         muscle.setActivation(state, ACTIVATION)
     model.equilibrateMuscles(state)
     found: dict[str, list[Any]] = {"values": [], "speeds": [], "contact": []}
-    fibers = [muscle.getFiberLength(state) for muscle in muscles]
     forces = [one for one in members(model.getForceSet()) if one.getConcreteClassName().startswith("Smooth")]
     manager = opensim.Manager(model)
     manager.setIntegratorAccuracy(ACCURACY)
     manager.initialize(state)
     for k in range(round(SECONDS / EVERY) + 1):
-        if k:
-            state = manager.integrate(k * EVERY)
-        model.realizeDynamics(state)
+        state = manager.integrate(SETTLE + k * EVERY)
+        model.realizeAcceleration(state)
+        if not k:
+            start = {
+                "activation": [muscle.getActivation(state) for muscle in muscles],
+                "fibers": [muscle.getFiberLength(state) for muscle in muscles],
+                "tension": [muscle.getTendonForce(state) for muscle in muscles],
+                "accelerations": [coordinate.getAccelerationValue(state) for coordinate in coordinates],
+            }
         found["values"].append([coordinate.getValue(state) for coordinate in coordinates])
         found["speeds"].append([coordinate.getSpeedValue(state) for coordinate in coordinates])
         found["contact"].append([[one.getRecordValues(state).get(i) for i in range(3)] for one in forces])
-    return {"fibers": np.array(fibers)} | {name: np.array(rows) for name, rows in found.items()}
+    return {name: np.array(rows) for name, rows in (start | found).items()}
 
 
 def main() -> None:
@@ -115,7 +122,6 @@ def main() -> None:
         "coordinates": [one.getName() for one in members(model.getCoordinateSet())],
         "muscles": muscles,
         "starts": list(options.starts),
-        "activation": ACTIVATION,
         "every": EVERY,
     }
     arrays = {name: np.array([row[name] for row in rows]) for name in rows[0]}

@@ -181,9 +181,9 @@ def damp_bodies(
     for number in range(pushes.force.shape[1]):
         if wp.length_sq(pushes.force[worldid, number]) > 0.0:
             normal, light = pushes.normal[worldid, number], h * chains.lightness[number]
-            drag, damping = pushes.drag[worldid, number], pushes.damping[worldid, number]
-            drag *= share_of(light * drag)
-            stiffer = damping * share_of(light * damping) - drag
+            drag = pushes.drag[worldid, number] * share_of(light * pushes.drag[worldid, number])
+            damping = pushes.damping[worldid, number] * share_of(light * pushes.damping[worldid, number])
+            stiffer = damping - drag
             for side in range(2):
                 dof = int(chains.last[number, side])
                 arm = pushes.location[worldid, number] - subtree_com_in[worldid, chains.root[number, side]]

@@ -3,7 +3,7 @@
     python tests/data/record_opensim_cmc.py -o tests/data/opensim/cmc
 
 needs an interpreter with `opensim` (4.6) and numpy only; nothing of ours is imported. The shoulder is to be
-at 0.3 + 0.3 sin(4 t), the elbow at 1.2 + 0.4 cos(4 t). CMC runs over 0.1 s with the arm's muscles and reserves
+at 0.3 + 0.3 sin(4 t), the elbow at 1.2 + 0.4 cos(4 t). CMC runs over 0.1 s with muscles and reserves
 of 1 N m, RRA over the same with motors of 20 N m in place of muscles. Kept are the files of `KEPT`, every
 tenth row of those that are long, with the numbers as OpenSim writes them.
 """

@@ -51,7 +51,7 @@ def arm(gain):
 
 def swing(gain):
     """Return coordinates and excitations over time."""
-    model, _, manager, state = arm(gain)
+    model, muscles, manager, state = arm(gain)
     values, controls = [], []
     for k in range(SAMPLES):
         if k:
@@ -69,7 +69,7 @@ def main():
     output = parser.parse_args().output
     opensim.Logger.setLevelString("Off")
     values, controls = zip(*map(swing, GAINS), strict=True)
-    _, muscles, _, state = arm(0.0)
+    model, muscles, manager, state = arm(0.0)  # kept while its muscles are asked
     np.savez_compressed(
         output,
         gains=GAINS,
@@ -79,6 +79,7 @@ def main():
         fibers=[muscle.getFiberLength(state) for muscle in muscles],
         version=opensim.GetVersion(),
     )
+    del model, manager
 
 
 if __name__ == "__main__":
