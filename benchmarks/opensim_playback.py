@@ -34,15 +34,8 @@ FAR = 1e6
 """Pose error at which an episode ends early: none does."""
 
 
-def played(file: Path, record: Any, step: float | None, back: bool) -> dict[str, Any]:
-    """Return how far motions are from OpenSim's.
-
-    Args:
-        file: The model.
-        record: What OpenSim recorded.
-        step: Length of physics steps [s]; None: the model's own.
-        back: Whether the start's speeds are those of half a step before, where the step's speeds are.
-    """
+def played(file: Path, record: Any, step: float | None) -> dict[str, Any]:
+    """Return how far motions are from OpenSim's; physics steps are the model's own, or of a length [s]."""
     meta = json.loads(str(record["meta"]))
     task = from_osim(file, stops=False, contact="opensim", far=FAR, horizon=10_000, replace=True)
     dt = task.physics_dt if step is None else step
@@ -58,20 +51,13 @@ def played(file: Path, record: Any, step: float | None, back: bool) -> dict[str,
     qvel = np.einsum("nij,nj->ni", slope[:, :, kept], record["speeds"][:, 0, own])
     muscles = [meta["muscles"].index(name) for name in scene.muscles.names]
     sim.reset(seeds=np.zeros(number, int))
-
-    def begin(qvel: np.ndarray) -> None:
-        place(sim, {"data.qpos": qpos, "data.qvel": qvel}, np.arange(number))
-        scene.muscles.activation.assign(record["activation"][:, muscles].astype(np.float32))
-        scene.muscles.fiber_length.assign(record["fibers"][:, muscles].astype(np.float32))
-
-    begin(qvel)
+    place(sim, {"data.qpos": qpos, "data.qvel": qvel}, np.arange(number))
+    scene.muscles.activation.assign(record["activation"][:, muscles].astype(np.float32))
+    scene.muscles.fiber_length.assign(record["fibers"][:, muscles].astype(np.float32))
     action = np.zeros(sim.action.shape, np.float32)
     u = record["excitation"][:, muscles]
     action[:, scene.muscles.actuator_id] = 0.5 + np.log(u / (1.0 - u)) / 5.0
     sim.action.assign(action)
-    if back:
-        sim.step()
-        begin(qvel - 0.5 * (scene.data.qvel.numpy() - qvel))
     shown = {one.name: one for one in mapped.coordinates if one.joint is not None}
     free = [name for name in free if name in shown]
     joints = [scene.oracle.joint(str(shown[name].joint)) for name in free]
@@ -95,7 +81,6 @@ def played(file: Path, record: Any, step: float | None, back: bool) -> dict[str,
     worst = np.unravel_index(off[:, :, hinge].argmax(), off[:, :, hinge].shape)
     return {
         "step [ms]": 1e3 * dt,
-        "speeds of half a step before": back,
         "angles [deg]": {
             "median": float(np.median(off[:, 1:, hinge])),
             "at the end": float(np.median(off[:, -1, hinge])),
@@ -125,9 +110,8 @@ def main() -> None:
     options = parser.parse_args()
     record, rows = np.load(options.folder / "playback.npz"), []
     for step in (None, *options.steps):
-        for back in (False, True):
-            rows.append(played(options.folder / "whole.osim", record, step, back))
-            print(json.dumps(rows[-1]), flush=True)
+        rows.append(played(options.folder / "whole.osim", record, step))
+        print(json.dumps(rows[-1]), flush=True)
     meta = json.loads(str(record["meta"]))
     result = {"processor": processor(), "opensim": meta["opensim"], "starts": meta["starts"], "steps": rows}
     options.output.write_text(json.dumps(result, indent=1) + "\n")

@@ -4,11 +4,11 @@
 
 The model gets its function paths, contact and expression forces, as Moco's example adds them, and is written
 to `whole.osim`. Each motion begins in a pose of the recorded walk, with its speeds, muscles in OpenSim's
-equilibrium at `ACTIVATION`, and runs under constant excitations, integrated to 1e-7. The recorded pose presses
-feet into the ground with up to 6 kN; `SETTLE` later the motion that is compared begins. `playback.npz` has,
-every 10 ms from then on, coordinates and speeds, shape (starts, samples, coordinates), and the force of each
-contact on its sphere's body [N], (starts, samples, contacts, 3); where it begins, activations, fiber lengths
-[m], tendon forces [N] and accelerations; and excitations.
+equilibrium at `ACTIVATION`, and runs under constant excitations, integrated to 1e-7. The recorded pose
+presses feet into the ground with up to 6 kN; `SETTLE` later the motion that is compared begins.
+`playback.npz` has, every 10 ms from then on, coordinates and speeds, shape (starts, samples, coordinates),
+and the force of each contact on its sphere's body [N], (starts, samples, contacts, 3); where it begins,
+activations, fiber lengths [m], tendon forces [N] and accelerations; and excitations.
 """
 
 import argparse

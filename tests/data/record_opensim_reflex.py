@@ -51,7 +51,7 @@ def arm(gain):
 
 def swing(gain):
     """Return coordinates and excitations over time."""
-    model, muscles, manager, state = arm(gain)
+    model, _muscles, manager, state = arm(gain)
     values, controls = [], []
     for k in range(SAMPLES):
         if k:
