@@ -2,10 +2,11 @@
 
     python -m benchmarks.function_paths ../shared/osim/more/gait2392_millard2012muscle.osim
 
-Both models are the file as `myowarp.from_osim` loads it, one with the set of `myowarp convert --fit-paths`.
-Worlds are in states that random actions reach. `paths` is what places and follows all paths, and writes their
-moment arms; `step` is the whole physics step. Microseconds are CPU time of this thread for one world, the
-least of all rounds. Writes benchmarks/results/function_paths.json.
+All models are the file as `myowarp.from_osim` loads it: as it is, with the set of `myowarp convert
+--fit-paths`, and with one of order 5 at most, as Moco's examples have. Worlds are in states that random
+actions reach. `paths` is what places and follows all paths, and writes their moment arms; `step` is the whole
+physics step. Microseconds are CPU time of this thread for one world, the least of all rounds. Writes
+benchmarks/results/function_paths.json.
 """
 
 import argparse
@@ -21,11 +22,12 @@ from benchmarks.machine import processor
 from benchmarks.substep import Options, Physics
 from myowarp.engine.compile import quiet
 from myowarp.engine.graph import Graph
-from myowarp.osim.convert.function_paths import FILES, write_fitted
+from myowarp.osim.convert.function_paths import FILES, MOST_ORDER, write_fitted
 from myowarp.tasks.from_file import from_osim
 
 RESULT = Path(__file__).parent / "results" / "function_paths.json"
 ROUNDS, WORLDS, WARMUP, REPEATS = 12, 64, 10, 10
+ORDERS = {"functions": MOST_ORDER, "functions of order 5": 5}
 
 
 def times(source: Path, functions: Path | None) -> dict[str, list[float]]:
@@ -49,17 +51,19 @@ def times(source: Path, functions: Path | None) -> dict[str, list[float]]:
 
 def measure(source: Path, work: Path) -> dict[str, Any]:
     """Return the figures of one model."""
-    folder = work / source.stem
-    folder.mkdir(parents=True, exist_ok=True)
-    if not (folder / FILES[0]).is_file():
-        print(write_fitted(source, folder))
-    load = os.getloadavg()[0]
-    rows = {"wraps": times(source, None), "functions": times(source, folder / FILES[0])}
+    load, rows = os.getloadavg()[0], {"wraps": times(source, None)}
+    for name, order in ORDERS.items():
+        folder = work / source.stem / str(order)
+        folder.mkdir(parents=True, exist_ok=True)
+        if not (folder / FILES[0]).is_file():
+            print(write_fitted(source, folder, order))
+        rows[name] = times(source, folder / FILES[0])
     least = {name: {part: round(min(taken), 2) for part, taken in row.items()} for name, row in rows.items()}
+    wraps = least["wraps"]
     return {
         "microseconds": least,
-        "wraps_over_functions": {
-            part: round(least["wraps"][part] / least["functions"][part], 2) for part in least["wraps"]
+        "wraps_over": {
+            name: {part: round(wraps[part] / least[name][part], 2) for part in wraps} for name in ORDERS
         },
         "load_before_and_after": [round(load, 2), round(os.getloadavg()[0], 2)],
     }

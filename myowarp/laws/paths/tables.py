@@ -140,13 +140,13 @@ class Polynomial:
 
     @property
     def groups(self) -> list[tuple[tuple[int, ...], list[float]]]:
-        """Powers of all variables but the last, and coefficients of the last's ascending powers from 0."""
+        """Powers of all variables but the last, falling, and coefficients of the last's powers from 0 on."""
         found: dict[tuple[int, ...], list[float]] = {}
         for coefficient, (*others, last) in zip(self.coefficients, self.powers, strict=True):
             row = found.setdefault(tuple(others), [])
             row += [0.0] * (last + 1 - len(row))
             row[last] += coefficient
-        return list(found.items())
+        return sorted(found.items(), reverse=True)
 
 
 @dataclass(frozen=True)
