@@ -4,54 +4,68 @@
 namespace lanes {
 // The length of a path, and its derivatives by its variables, by Horner's rule in one variable within another:
 // groups of terms come with the powers of the first variables falling. Level k gathers what x_0 to x_(k-1) are
-// still to multiply.
-template <class Path, class Tables>
-INLINE Reals polynomial_length(const Path& path, Tables& tables, const Reals* value, Reals* slopes) {
-    const int last = path.variables - 1, *variable = tables.variable.data + path.first_variable;
+// still to multiply. The number of variables is LAST + 1.
+template <int LAST, class Path, class Tables>
+INLINE Reals polynomial_of(const Path& path, Tables& tables, const Reals* value, Reals* slopes) {
+    const int* variable = tables.variable.data + path.first_variable;
     const int width = tables.power.shape[1], end = path.first_group + path.groups;
-    Reals sum[MOST_VARIABLES], by[MOST_VARIABLES][MOST_VARIABLES];
-    for (int level = 0; level <= last; ++level) {
+    Reals x[LAST + 1], sum[LAST + 1], by[LAST + 1][LAST + 1];
+    for (int level = 0; level <= LAST; ++level) {
+        x[level] = value[variable[level]];
         sum[level] = all(0.0);
-        for (int k = level; k <= last; ++k)
+        for (int k = level; k <= LAST; ++k)
             by[level][k] = all(0.0);
     }
-    auto raise = [&](int level, int times) {
-        const Reals& x = value[variable[level]];
-        for (int n = 0; n < times; ++n) {
-            by[level][level] = by[level][level] * x + sum[level];
-            for (int k = level + 1; k <= last; ++k)
-                by[level][k] = by[level][k] * x;
-            sum[level] = sum[level] * x;
-        }
-    };
-    const Reals& y = value[variable[last]];
     for (int group = path.first_group; group < end; ++group) {
         const int* power = tables.power.data + group * width;
-        const int begin = tables.first_coefficient.data[group];
-        for (int c = tables.first_coefficient.data[group + 1] - 1; c >= begin; --c) {
-            by[last][last] = by[last][last] * y + sum[last];
-            sum[last] = sum[last] * y + tables.coefficient.data[c];
+        const double* first = tables.coefficient.data + tables.first_coefficient.data[group];
+        const double* c = tables.coefficient.data + tables.first_coefficient.data[group + 1];
+        Reals inner = all(0.0), steep = all(0.0);
+        while (c-- > first) {
+            steep = steep * x[LAST] + inner;
+            inner = inner * x[LAST] + *c;
         }
+        sum[LAST] = inner;
+        by[LAST][LAST] = steep;
         int same = 0;  // variables whose powers the next group has, too
         if (group + 1 < end)
             while (power[same] == power[width + same])
                 ++same;
-        for (int level = last; level > same; --level) {
-            if (level < last)
-                raise(level, power[level]);
+        for (int level = LAST; level >= same; --level) {
+            if (level < LAST) {
+                const int to = level == same && group + 1 < end ? power[width + level] : 0;
+                for (int n = power[level]; n > to; --n) {
+                    by[level][level] = by[level][level] * x[level] + sum[level];
+                    for (int k = level + 1; k <= LAST; ++k)
+                        by[level][k] = by[level][k] * x[level];
+                    sum[level] = sum[level] * x[level];
+                }
+            }
+            if (level == same)
+                break;
             sum[level - 1] += sum[level];
             sum[level] = all(0.0);
-            for (int k = level; k <= last; ++k) {
+            for (int k = level; k <= LAST; ++k) {
                 by[level - 1][k] += by[level][k];
                 by[level][k] = all(0.0);
             }
         }
-        if (same < last)
-            raise(same, power[same] - (group + 1 < end ? power[width + same] : 0));
     }
-    for (int k = 0; k <= last; ++k)
+    for (int k = 0; k <= LAST; ++k)
         slopes[k] = by[0][k];
     return sum[0];
+}
+
+template <class Path, class Tables>
+INLINE Reals polynomial_length(const Path& path, Tables& tables, const Reals* value, Reals* slopes) {
+    switch (path.variables) {
+        case 1: return polynomial_of<0>(path, tables, value, slopes);
+        case 2: return polynomial_of<1>(path, tables, value, slopes);
+        case 3: return polynomial_of<2>(path, tables, value, slopes);
+        case 4: return polynomial_of<3>(path, tables, value, slopes);
+        case 5: return polynomial_of<4>(path, tables, value, slopes);
+        default: return polynomial_of<MOST_VARIABLES - 1>(path, tables, value, slopes);
+    }
 }
 
 // The polynomials among paths, in all worlds.

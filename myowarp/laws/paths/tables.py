@@ -327,10 +327,9 @@ class PathMemory:
                 numbers=self._polynomials,
                 scratch=self._scratch,
             )
-        if self._others.size:
-            launch(
-                follow_paths if wp.get_device().is_cpu else FOLLOW_ON_CUDA,
-                (self.worlds, self._others.size),
-                self,
-                numbers=self._others,
-            )
+        shape = self.worlds, self._others.size
+        if wp.get_device().is_cpu:
+            if self._others.size:
+                launch(follow_paths, shape, self, numbers=self._others)
+        else:
+            launch(FOLLOW_ON_CUDA, shape, self, numbers=self._others)
