@@ -150,7 +150,8 @@ class StretchReflexEffect(Effect):
                 "stretch_reflex needs the optimal fiber length and maximum contraction velocity of all "
                 f"muscles, which {type(muscles).__name__} does not know"
             )
-        self.fastest = wp.array(fastest, dtype=float)
+        rows = 1 if (fastest == fastest[0]).all() else None  # worlds that are alike share one
+        self.fastest = wp.array(fastest[:rows], dtype=float)
         self.actuator_id = wp.array(muscles.actuator_id, dtype=int)
         steps = max(1, round(delay * scene.num_substeps / scene.control_dt))
         stretches = self.stretches = Stretches()
