@@ -2,60 +2,62 @@
 #ifndef MYOWARP_POLYNOMIALS_CPP
 #define MYOWARP_POLYNOMIALS_CPP
 namespace lanes {
-// The length of a path, and its derivatives by its variables, by Horner's rule in one variable within another:
-// groups of terms come with the powers of the first variables falling. Level k gathers what x_0 to x_(k-1) are
-// still to multiply. The number of variables is LAST + 1.
-template <int LAST, class Path, class Tables>
-INLINE Reals polynomial_of(const Path& path, Tables& tables, const Reals* value, Reals* slopes) {
-    const int* variable = tables.variable.data + path.first_variable;
-    const int width = tables.power.shape[1], end = path.first_group + path.groups;
-    Reals x[LAST + 1], sum[LAST + 1], by[LAST + 1][LAST + 1];
-    for (int level = 0; level <= LAST; ++level) {
-        x[level] = value[variable[level]];
-        sum[level] = all(0.0);
-        for (int k = level; k <= LAST; ++k)
-            by[level][k] = all(0.0);
-    }
-    for (int group = path.first_group; group < end; ++group) {
-        const int* power = tables.power.data + group * width;
-        const double* first = tables.coefficient.data + tables.first_coefficient.data[group];
-        const double* c = tables.coefficient.data + tables.first_coefficient.data[group + 1];
-        Reals inner = all(0.0), steep = all(0.0);
+// A polynomial of x_LEVEL to x_LAST, and its derivatives by these.
+template <int LEVEL, int LAST> struct Part {
+    Reals sum, by[LAST - LEVEL + 1];
+};
+
+// The sum of the groups from `group` on with the same powers of x_0 to x_(LEVEL - 1), left out here, by
+// Horner's rule in one variable within another. Groups come with falling powers.
+template <int LEVEL, int LAST, class Tables>
+INLINE Part<LEVEL, LAST> part_from(Tables& tables, const Reals* x, int& group, int end) {
+    Part<LEVEL, LAST> found;
+    found.sum = all(0.0);
+    for (int k = 0; k <= LAST - LEVEL; ++k)
+        found.by[k] = all(0.0);
+    if constexpr (LEVEL == LAST) {
+        const double* first = tables.coefficient.data + tables.first_coefficient.data[group++];
+        const double* c = tables.coefficient.data + tables.first_coefficient.data[group];
         while (c-- > first) {
-            steep = steep * x[LAST] + inner;
-            inner = inner * x[LAST] + *c;
+            found.by[0] = found.by[0] * x[LAST] + found.sum;
+            found.sum = found.sum * x[LAST] + *c;
         }
-        sum[LAST] = inner;
-        by[LAST][LAST] = steep;
-        int same = 0;  // variables whose powers the next group has, too
-        if (group + 1 < end)
-            while (power[same] == power[width + same])
-                ++same;
-        for (int level = LAST; level >= same; --level) {
-            if (level < LAST) {
-                const int to = level == same && group + 1 < end ? power[width + level] : 0;
-                for (int n = power[level]; n > to; --n) {
-                    by[level][level] = by[level][level] * x[level] + sum[level];
-                    for (int k = level + 1; k <= LAST; ++k)
-                        by[level][k] = by[level][k] * x[level];
-                    sum[level] = sum[level] * x[level];
-                }
-            }
-            if (level == same)
-                break;
-            sum[level - 1] += sum[level];
-            sum[level] = all(0.0);
-            for (int k = level; k <= LAST; ++k) {
-                by[level - 1][k] += by[level][k];
-                by[level][k] = all(0.0);
+    } else {
+        const int width = tables.power.shape[1], *begin = tables.power.data + group * width;
+        int power = begin[LEVEL];
+        for (bool more = true; more;) {
+            const Part<LEVEL + 1, LAST> inner = part_from<LEVEL + 1, LAST>(tables, x, group, end);
+            found.sum += inner.sum;
+            for (int k = 0; k < LAST - LEVEL; ++k)
+                found.by[k + 1] += inner.by[k];
+            const int* next = tables.power.data + group * width;
+            more = group < end;
+            for (int k = 0; k < LEVEL; ++k)
+                more = more && next[k] == begin[k];
+            for (const int lower = more ? next[LEVEL] : 0; power > lower; --power) {
+                found.by[0] = found.by[0] * x[LEVEL] + found.sum;
+                for (int k = 1; k <= LAST - LEVEL; ++k)
+                    found.by[k] = found.by[k] * x[LEVEL];
+                found.sum = found.sum * x[LEVEL];
             }
         }
     }
-    for (int k = 0; k <= LAST; ++k)
-        slopes[k] = by[0][k];
-    return sum[0];
+    return found;
 }
 
+template <int LAST, class Path, class Tables>
+INLINE Reals polynomial_of(const Path& path, Tables& tables, const Reals* value, Reals* slopes) {
+    Reals x[LAST + 1];
+    for (int k = 0; k <= LAST; ++k)
+        x[k] = value[tables.variable.data[path.first_variable + k]];
+    int group = path.first_group;
+    const Part<0, LAST> found = part_from<0, LAST>(tables, x, group, path.first_group + path.groups);
+    for (int k = 0; k <= LAST; ++k)
+        slopes[k] = found.by[k];
+    return found.sum;
+}
+
+// The length of a path, and its derivatives by its variables.
 template <class Path, class Tables>
 INLINE Reals polynomial_length(const Path& path, Tables& tables, const Reals* value, Reals* slopes) {
     switch (path.variables) {
