@@ -6,8 +6,11 @@ passive forces,
     qfrc_j += d_j . (location x f - com x f, f) of both bodies, d_j the motion of dof j about com.
 
 Friction below the transition velocity is a damper of 1e3 to 1e5 N s/m, which explicit steps of a
-millisecond would throw back and forth. Its slope goes into the step: M + h sum of J' D J in place of M, where
-J moves the point of contact, and D is the drag across the normal and the damping along it. Between two
+millisecond would throw back and forth. Its slope goes into the step: M + h sum of J' S D J in place of M,
+where J moves the point of contact, and D is the drag across the normal and the damping along it. The share
+S = 1 / (1 - e^-z) - 1 / z of each, z = h D / mass, is that with which a mass on this damper alone slows down
+as e^-z: a half where the damper is soft, as the trapezoidal rule has it, and 1 where it is stiff. So forces
+are those at the moment of the positions; with all of D they are those of half a step later. Between two
 bodies of different branches of the tree the rows of M have no place for what couples them; there each damps
 itself (as `engine.stages.integrate` has it with actuators).
 """
@@ -25,6 +28,9 @@ from myowarp.kernels.launch import launch
 from myowarp.laws.forces.bushing import BodyMotion
 from myowarp.laws.forces.contact import Contact, contact_wrench
 from myowarp.osim.bundle.contacts import DocumentContacts, contact_table
+
+SOFT = wp.constant(1e-2)
+"""z below which the share is its series: in float32 the formula has no digits there."""
 
 
 @wp.struct
@@ -54,11 +60,13 @@ class Chains:
         last: Last dof that moves the first and the second body of each, -1 for none, (num_contacts, 2).
         root: Body whose `subtree_com` their velocities refer to, (num_contacts, 2).
         parent: Dof above each dof, -1 for none.
+        lightness: Of the bodies of each, 1 / mass in the model's first pose [1/kg], (num_contacts,).
     """
 
     last: wp.array2d[int]
     root: wp.array2d[int]
     parent: wp.array[int]
+    lightness: wp.array[float]
 
 
 @wp.func
@@ -145,6 +153,14 @@ def moved(direction: wp.spatial_vector, arm: wp.vec3) -> wp.vec3:
     return wp.spatial_bottom(direction) + wp.cross(wp.spatial_top(direction), arm)
 
 
+@wp.func
+def share_of(z: float) -> float:
+    """1 / (1 - e^-z) - 1 / z, from 1/2 at 0 to 1."""
+    if z < SOFT:
+        return 0.5 + z / 12.0
+    return 1.0 / (1.0 - wp.exp(-z)) - 1.0 / z
+
+
 @wp.kernel(enable_backward=False)
 def damp_bodies(
     # Params:
@@ -159,13 +175,15 @@ def damp_bodies(
     # Data out:
     M_out: wp.array2d[float],
 ):
-    """M += h J' (drag (1 - n n') + damping n n') J of both bodies of each contact."""
+    """M += h J' (S drag (1 - n n') + S damping n n') J of both bodies of each contact."""
     worldid = wp.tid()
     h = timestep[batched(worldid, timestep.shape[0])]
     for number in range(pushes.force.shape[1]):
         if wp.length_sq(pushes.force[worldid, number]) > 0.0:
-            normal, drag = pushes.normal[worldid, number], pushes.drag[worldid, number]
-            stiffer = pushes.damping[worldid, number] - drag
+            normal, light = pushes.normal[worldid, number], h * chains.lightness[number]
+            drag = pushes.drag[worldid, number] * share_of(light * pushes.drag[worldid, number])
+            damping = pushes.damping[worldid, number] * share_of(light * pushes.damping[worldid, number])
+            stiffer = damping - drag
             for side in range(2):
                 dof = int(chains.last[number, side])
                 arm = pushes.location[worldid, number] - subtree_com_in[worldid, chains.root[number, side]]
@@ -198,6 +216,7 @@ class OwnContacts:
         chains.last = wp.array(np.maximum(last, -1), dtype=int)
         chains.root = wp.array(host.body_rootid[bodies], dtype=int)
         chains.parent = wp.array(host.dof_parentid, dtype=int)
+        chains.lightness = wp.array(host.body_invweight0[bodies, 0].sum(axis=1), dtype=float)
         shape, self.pushes = (data.nworld, len(bodies)), Pushes()
         for name, kind in (("force", wp.vec3), ("location", wp.vec3), ("normal", wp.vec3),
                            ("damping", float), ("drag", float)):  # fmt: skip

@@ -18,7 +18,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from myowarp.kernels.batching import batched
+from myowarp.kernels.batching import batched, num_threads
 from myowarp.kernels.launch import launch
 from myowarp.kernels.structs import struct_array
 from myowarp.laws.paths.path import Frames, Pulls
@@ -144,6 +144,7 @@ def place_bodies(
 def pull_tendons(
     # Params:
     tables: RowTables,
+    threads: int,
     # Data in:
     qpos_in: wp.array2d[float],
     subtree_com_in: wp.array2d[wp.vec3],
@@ -156,40 +157,41 @@ def pull_tendons(
     ten_J_out: wp.array2d[float],
 ):
     """ten_J = sum of cdof . (torque - com x force, force) + d length / d place slope; or coefficients."""
-    worldid, tendonid = wp.tid()
-    row = tables.rows[tendonid]
-    for k in range(row.first, row.last):
-        ten_J_out[worldid, k] = 0.0
-    if row.path >= 0:
-        ten_length_out[worldid, tendonid] = float(pulls.length[worldid, row.path])
-    else:
-        length = float(0.0)
-        for i in range(row.first_joint, row.last_joint):
-            joint = tables.joints[i]
-            length += joint.coefficient * qpos_in[worldid, joint.place]
-            ten_J_out[worldid, joint.address] = joint.coefficient
-        ten_length_out[worldid, tendonid] = length
-    for g in range(row.first_group, row.last_group):
-        group = tables.groups[g]
-        force, torque = wp.vec3d(), wp.vec3d()
-        for h in range(group.first_handle, group.last_handle):
-            force += pulls.force[worldid, tables.handles[h]]
-            torque += pulls.torque[worldid, tables.handles[h]]
-        for e in range(group.first_entry, group.last_entry):
-            entry = tables.entries[e]
-            about = torque - wp.cross(wp.vec3d(subtree_com_in[worldid, entry.root]), force)
-            cdof = cdof_in[worldid, entry.dof]
-            moment = wp.dot(wp.vec3d(wp.spatial_top(cdof)), about)
-            moment += wp.dot(wp.vec3d(wp.spatial_bottom(cdof)), force)
-            ten_J_out[worldid, entry.address] = float(moment)
-    for m in range(row.first_moving, row.last_moving):
-        shown = tables.moving[m]
-        more = pulls.along[worldid, shown.moving][shown.axis] * slopes[worldid, shown.value]
-        ten_J_out[worldid, shown.address] = ten_J_out[worldid, shown.address] + float(more)
-    for v in range(row.first_variable, row.last_variable):
-        of = tables.variables[v]
-        slope = pulls.by_variable[worldid, of.variable] * slopes[worldid, of.value]
-        ten_J_out[worldid, of.address] = ten_J_out[worldid, of.address] + float(slope)
+    worldid, thread = wp.tid()
+    for tendonid in range(thread, tables.rows.shape[0], threads):
+        row = tables.rows[tendonid]
+        for k in range(row.first, row.last):
+            ten_J_out[worldid, k] = 0.0
+        if row.path >= 0:
+            ten_length_out[worldid, tendonid] = float(pulls.length[worldid, row.path])
+        else:
+            length = float(0.0)
+            for i in range(row.first_joint, row.last_joint):
+                joint = tables.joints[i]
+                length += joint.coefficient * qpos_in[worldid, joint.place]
+                ten_J_out[worldid, joint.address] = joint.coefficient
+            ten_length_out[worldid, tendonid] = length
+        for g in range(row.first_group, row.last_group):
+            group = tables.groups[g]
+            force, torque = wp.vec3d(), wp.vec3d()
+            for h in range(group.first_handle, group.last_handle):
+                force += pulls.force[worldid, tables.handles[h]]
+                torque += pulls.torque[worldid, tables.handles[h]]
+            for e in range(group.first_entry, group.last_entry):
+                entry = tables.entries[e]
+                about = torque - wp.cross(wp.vec3d(subtree_com_in[worldid, entry.root]), force)
+                cdof = cdof_in[worldid, entry.dof]
+                moment = wp.dot(wp.vec3d(wp.spatial_top(cdof)), about)
+                moment += wp.dot(wp.vec3d(wp.spatial_bottom(cdof)), force)
+                ten_J_out[worldid, entry.address] = float(moment)
+        for m in range(row.first_moving, row.last_moving):
+            shown = tables.moving[m]
+            more = pulls.along[worldid, shown.moving][shown.axis] * slopes[worldid, shown.value]
+            ten_J_out[worldid, shown.address] = ten_J_out[worldid, shown.address] + float(more)
+        for v in range(row.first_variable, row.last_variable):
+            of = tables.variables[v]
+            slope = pulls.by_variable[worldid, of.variable] * slopes[worldid, of.value]
+            ten_J_out[worldid, of.address] = ten_J_out[worldid, of.address] + float(slope)
 
 
 @wp.kernel(enable_backward=False)
@@ -356,11 +358,13 @@ class OwnPaths:
             slopes=self.slopes,
         )
         self.memory.launch()
+        threads = num_threads(data.qpos.device, self.rows.rows.shape[0])
         launch(
             pull_tendons,
-            (data.nworld, self.rows.rows.shape[0]),
+            (data.nworld, threads),
             data,
             tables=self.rows,
+            threads=threads,
             pulls=self.memory.pulls,
             slopes=self.slopes,
         )

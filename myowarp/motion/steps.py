@@ -38,9 +38,11 @@ from myowarp.motion.setup import EXPONENT, TrialSetup
 from myowarp.motion.streams import Margin, is_long
 from myowarp.motion.tracking import track as simulate
 from myowarp.osim.body.hill_muscle import HillMuscle, known
+from myowarp.osim.body.model_forces import open_loops
 from myowarp.osim.body.muscle_paths import MusclePaths, muscle_paths
 from myowarp.osim.body.skeleton import Bones
 from myowarp.osim.document.kinematics import floating
+from myowarp.process import warn_once
 
 HELD = 0.05
 """Share of the weight that a root may give without external loads, unsaid."""
@@ -72,6 +74,8 @@ def kinematics_in_parts(bones: Bones, setup: TrialSetup) -> Iterator[JointAngles
 
 
 def _angles(bones: Bones, setup: TrialSetup, whole: bool) -> Iterator[JointAngles]:
+    if sentence := open_loops(bones.model):
+        warn_once(f"{bones.model.source.name}: {sentence}")
     if setup.orientations is not None:
         yield kinematics_of_sensors(bones, setup)
         return

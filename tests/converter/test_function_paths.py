@@ -7,7 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import warp as wp
 
+from myowarp.kernels.launch import launch
+from myowarp.laws.paths.path import MOST_VARIABLES, follow_paths
+from myowarp.laws.paths.tables import OsimPath, OsimPaths, PathMemory, Polynomial, Via
 from myowarp.osim.body.muscle_paths import PathsOfMuscles, muscle_paths
 from myowarp.osim.body.scale_document import Document, read_with, scale_document
 from myowarp.osim.body.skeleton import Bones
@@ -67,6 +71,51 @@ def test_a_set_takes_the_place_of_paths(tmp_path):
         assert found.moment_arm[:, 1].any()
     before = muscle_paths(Bones.read(DEVICES), values, speeds, ["cable"])
     assert np.abs(before.length - lanes.length[:, :1]).max() > 0.01
+
+
+@pytest.mark.parametrize("worlds", [1, 19])
+def test_polynomials_in_lanes_and_in_the_kernel_are_sums_of_powers(worlds):
+    """Some of few terms, in any order, beside a path of points, which keeps its place."""
+    random, values = np.random.default_rng(5), 8
+    paths: dict[str, OsimPath] = {"line": OsimPath((Via("a", (0, 0, 0)), Via("a", (0, 3, 4))))}
+    for number in range(1, MOST_VARIABLES + 1):
+        powers = {tuple(random.integers(0, 5, number).tolist()) for _ in range(9)}
+        chosen = tuple(random.permutation(values)[:number].tolist())
+        terms = Polynomial(chosen, tuple(random.normal(size=len(powers))), tuple(powers))
+        paths[f"polynomial {number}"] = OsimPath((), (), terms)
+    with wp.ScopedDevice("cpu"):
+        memory = PathMemory(OsimPaths(paths, {}), worlds, values)
+        x = random.uniform(-1.5, 1.5, (worlds, values))
+        memory.frames.value.assign(x)
+        memory.frames.rotation.assign(np.tile(np.eye(3), (worlds, 1, 1, 1)))
+        found = []
+        for by_kernel in (False, True):
+            memory.pulls.length.fill_(np.nan)
+            memory.pulls.by_variable.fill_(np.nan)
+            if by_kernel:
+                numbers = wp.array(np.arange(len(paths)), dtype=int)
+                launch(follow_paths, (worlds, len(paths)), memory, numbers=numbers)
+            else:
+                memory.launch()
+            found.append((memory.pulls.length.numpy().copy(), memory.pulls.by_variable.numpy().copy()))
+    place = 0
+    for number, path in enumerate(paths.values()):
+        if path.polynomial is None:
+            wanted, slopes = np.full(worlds, 5.0), []
+        else:
+            own, power = x[:, path.polynomial.values], np.array(path.polynomial.powers)
+            c = np.array(path.polynomial.coefficients)
+            wanted = (c * (own[:, None, :] ** power).prod(axis=2)).sum(axis=1)
+            slopes = []
+            for k in range(own.shape[1]):
+                less = power - (np.arange(own.shape[1]) == k)
+                each = power[:, k] * (own[:, None, :] ** np.maximum(less, 0)).prod(axis=2)
+                slopes.append((c * each).sum(axis=1))
+        for length, by_variable in found:
+            np.testing.assert_allclose(length[:, number], wanted, rtol=1e-12, atol=1e-12)
+            for k, slope in enumerate(slopes):
+                np.testing.assert_allclose(by_variable[:, place + k], slope, rtol=1e-11, atol=1e-11)
+        place += len(slopes)
 
 
 WRONG = [

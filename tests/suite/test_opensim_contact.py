@@ -3,6 +3,7 @@
 The table is from `tests/data/record_opensim_contacts.py`.
 """
 
+import dataclasses
 import logging
 from pathlib import Path
 
@@ -89,6 +90,43 @@ def test_friction_stops_a_sled(sled):
     assert way == pytest.approx(0.5 / (0.5 * 9.81), rel=0.01)
     assert height == pytest.approx(0.1 - depth, abs=1e-6)
     assert np.abs(scene.data.qvel.numpy()).max() < 1e-5
+
+
+def bounce(height, speed, duration):
+    """Return how a sled of 2 kg that falls flat moves: height of its centre, by Runge and Kutta's rule."""
+    k, step = 0.5 * 1e6 ** (2 / 3), 1e-5
+
+    def rate(state):
+        depth = 0.1 - state[0]
+        hertz = 4 / 3 * k * max(depth, 0.0) * np.sqrt(0.1 * k * max(depth, 0.0))
+        return np.array([state[1], max(hertz * (1.0 - 1.5 * 5.0 * state[1]), 0.0) / 2.0 - 9.81])
+
+    state = np.array([height, speed])
+    for _ in range(round(duration / step)):
+        one = rate(state)
+        two = rate(state + step / 2 * one)
+        three = rate(state + step / 2 * two)
+        four = rate(state + step * three)
+        state = state + step / 6 * (one + 2 * two + 2 * three + four)
+    return state[0]
+
+
+def test_damping_of_contact_is_of_second_order(sled):
+    """Speeds of the step are half a step behind places. All of h D in M would leave an error as long as h."""
+    height, speed, duration, errors = 0.1002, -0.05, 0.048, []
+    wanted = bounce(height, speed, duration)
+    for step in (2e-3, 1e-3):
+        task = myowarp.from_osim(sled, "sledDrop-v0", contact="opensim", replace=True)
+        task = dataclasses.replace(task, physics_dt=step, num_substeps=1)
+        scene = compile_scene(task, 1, device="cpu", physics="parity")
+        scene.data.qpos.assign(np.array([[0.0, height]], np.float32))
+        scene.data.qvel.assign(np.array([[0.0, speed + 9.81 * step / 2]], np.float32))
+        launch = step_of(stepped_of(scene)).launches()
+        for _ in range(round(duration / step)):
+            launch()
+        errors.append(abs(scene.data.qpos.numpy()[0, 1] - wanted))
+    assert errors[0] < 1e-4
+    assert errors[0] > 3.0 * errors[1]
 
 
 def test_the_start_says_how_long_steps_are(sled, caplog):

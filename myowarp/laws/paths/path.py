@@ -519,6 +519,7 @@ def polynomial_length(
 def follow_paths(
     # Params:
     tables: PathTables,
+    numbers: wp.array[int],
     # In:
     frames: Frames,
     # Out:
@@ -529,7 +530,8 @@ def follow_paths(
 
     Or the length is a polynomial, with its derivatives by the variables.
     """
-    worldid, pathid = wp.tid()
+    worldid, place = wp.tid()
+    pathid = numbers[place]
     path = tables.paths[pathid]
     if path.variables > 0:
         pulls.size[worldid, pathid] = 0

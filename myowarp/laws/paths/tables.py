@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from myowarp.kernels.lanes import WIDEST
+from myowarp.kernels.launch import launch
 from myowarp.kernels.structs import struct_array
 from myowarp.laws.paths.ellipsoid import AXIAL, HYBRID, MIDPOINT, SAMPLED
 from myowarp.laws.paths.path import (
@@ -27,6 +29,7 @@ from myowarp.laws.paths.path import (
     Surface,
     follow_paths,
 )
+from myowarp.laws.paths.polynomials import follow_polynomials
 
 KINDS = {"cylinder": int(CYLINDER), "sphere": int(SPHERE), "ellipsoid": int(ELLIPSOID), "torus": int(TORUS)}
 METHODS = {"hybrid": int(HYBRID), "midpoint": int(MIDPOINT), "axial": int(AXIAL)}
@@ -137,13 +140,13 @@ class Polynomial:
 
     @property
     def groups(self) -> list[tuple[tuple[int, ...], list[float]]]:
-        """Powers of all variables but the last, and coefficients of the last's ascending powers from 0."""
+        """Powers of all variables but the last, falling, and coefficients of the last's powers from 0 on."""
         found: dict[tuple[int, ...], list[float]] = {}
         for coefficient, (*others, last) in zip(self.coefficients, self.powers, strict=True):
             row = found.setdefault(tuple(others), [])
             row += [0.0] * (last + 1 - len(row))
             row[last] += coefficient
-        return list(found.items())
+        return sorted(found.items(), reverse=True)
 
 
 @dataclass(frozen=True)
@@ -278,6 +281,11 @@ class PathMemory:
         self.tables.first_coefficient = wp.array(ends, dtype=int)
         self.tables.coefficient = wp.array(coefficients or [0.0], dtype=wp.float64)
         self.worlds, self.number = worlds, len(paths)
+        functions = [path.polynomial is not None for path in described.paths.values()]
+        in_lanes = np.array(functions, bool) & wp.get_device().is_cpu
+        self._polynomials = wp.array(np.flatnonzero(in_lanes), dtype=int)
+        self._others = wp.array(np.flatnonzero(~in_lanes), dtype=int)
+        self._scratch = wp.empty((max(values, 1) + 1) * WIDEST, dtype=wp.float64)
         self.frames, self.memory, self.pulls = Frames(), Followed(), Pulls()
         real, vec, mat = wp.float64, wp.vec3d, wp.mat33d
         for owner, name, columns, kind in (
@@ -309,9 +317,19 @@ class PathMemory:
 
     def launch(self) -> None:
         """Follow all paths in the frames as they are."""
-        wp.launch(
-            follow_paths if wp.get_device().is_cpu else FOLLOW_ON_CUDA,
-            dim=(self.worlds, self.number),
-            inputs=[self.tables, self.frames],
-            outputs=[self.memory, self.pulls],
-        )
+        if self._polynomials.size:
+            launch(
+                follow_polynomials,
+                1,
+                self.pulls,
+                self.frames,
+                tables=self.tables,
+                numbers=self._polynomials,
+                scratch=self._scratch,
+            )
+        shape = self.worlds, self._others.size
+        if wp.get_device().is_cpu:
+            if self._others.size:
+                launch(follow_paths, shape, self, numbers=self._others)
+        else:
+            launch(FOLLOW_ON_CUDA, shape, self, numbers=self._others)

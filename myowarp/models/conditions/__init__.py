@@ -13,6 +13,7 @@ from myowarp.models.conditions.load import Load
 from myowarp.models.conditions.motor_noise import MotorNoise
 from myowarp.models.conditions.reafferentation import Reafferentation
 from myowarp.models.conditions.sarcopenia import Sarcopenia
+from myowarp.models.conditions.stretch_reflex import StretchReflex
 from myowarp.models.conditions.tendon_tear import TendonTear
 from myowarp.models.conditions.tendon_transfer import TendonTransfer
 
@@ -30,6 +31,7 @@ __all__ = [
     "Ramp",
     "Reafferentation",
     "Sarcopenia",
+    "StretchReflex",
     "TendonTear",
     "TendonTransfer",
     "Uniform",

@@ -203,20 +203,35 @@ def left_out(model: Model) -> str:
     is left out.
     """
     lost = [note for note in model.notes if isinstance(note, Loss) and note.effect in ("force", "contact")]
-    shapes = {shape.name: shape.body for shape in model.shapes if shape.contact}
-    said = []
-    for note in lost:
-        moved: Iterable[str | None] = note.names & set(model.coordinates)
-        if not moved:
-            bodies = [name for name in (*model.bodies, GROUND) if name in note.names]
-            bodies += [body for name, body in shapes.items() if name in note.names]
-            moved = coordinates_between(model, bodies if len(set(bodies)) > 1 else [*bodies, GROUND])
-        where = _listed(leading(model, moved))
-        said.append(f"{note.code} {note.path.rpartition('/')[2]!r} ({where})")
+    said = [_lost(model, note) for note in lost] + _open(model)
+    return f"left out, though OpenSim has it act: {'; '.join(said)}" if said else ""
+
+
+def open_loops(model: Model) -> str:
+    """Return which constraints angles need not obey here, and do in OpenSim; "": there are none."""
+    said = _open(model)
+    return f"these hold no angles here, and do in OpenSim: {'; '.join(said)}" if said else ""
+
+
+def _open(model: Model) -> list[str]:
+    """Return the constraints that close loops, of classes that nobody reads, too, with their coordinates."""
+    lost = [note for note in model.notes if isinstance(note, Loss) and note.effect == "motion"]
+    said = [_lost(model, note) for note in lost]
     for item in model.constraints:
         on = leading(model, coordinates_between(model, item.bodies))
         said.append(f"{item.kind} constraint {item.name!r} ({_listed(on)})")
-    return f"left out, though OpenSim has it act: {'; '.join(said)}" if said else ""
+    return said
+
+
+def _lost(model: Model, note: Loss) -> str:
+    """Return class, name and coordinates of what is left out."""
+    moved: Iterable[str | None] = note.names & set(model.coordinates)
+    if not moved:
+        shapes = {shape.name: shape.body for shape in model.shapes if shape.contact}
+        bodies = [name for name in (*model.bodies, GROUND) if name in note.names]
+        bodies += [body for name, body in shapes.items() if name in note.names]
+        moved = coordinates_between(model, bodies if len(set(bodies)) > 1 else [*bodies, GROUND])
+    return f"{note.code} {note.path.rpartition('/')[2]!r} ({_listed(leading(model, moved))})"
 
 
 def _listed(coordinates: Sequence[str]) -> str:

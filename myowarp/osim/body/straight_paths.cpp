@@ -164,45 +164,6 @@ template <class Skeleton, class Needed, class Tables, class Fixed> struct Straig
         along[slot].z += R[0][2] * own.x + R[1][2] * own.y + R[2][2] * own.z;
     }
 
-    // A length that is a polynomial: `polynomial_length`, and its moment arms.
-    template <class Path> void polynomial(const Path& path, Reals& length) {
-        length = all(0.0);
-        const int last = path.variables - 1, *variable = tables.variable.data + path.first_variable;
-        Reals slopes[MOST_VARIABLES];
-        for (int k = 0; k <= last; ++k)
-            slopes[k] = all(0.0);
-        for (int group = path.first_group; group < path.first_group + path.groups; ++group) {
-            const int* power = tables.power.data + group * tables.power.shape[1];
-            const int begin = tables.first_coefficient.data[group];
-            const Reals& y = value[variable[last]];
-            Reals inner = all(0.0), steep = all(0.0), product = all(1.0), by[MOST_VARIABLES];
-            for (int c = tables.first_coefficient.data[group + 1] - 1; c >= begin; --c) {
-                steep = steep * y + inner;
-                inner = inner * y + tables.coefficient.data[c];
-            }
-            for (int k = 0; k < last; ++k) {
-                by[k] = all(0.0);
-                if (power[k] == 0)
-                    continue;
-                const Reals& x = value[variable[k]];
-                Reals below = all(1.0);
-                for (int n = 1; n < power[k]; ++n)
-                    below = below * x;
-                for (int before = 0; before < k; ++before)
-                    by[before] = by[before] * (below * x);
-                by[k] = double(power[k]) * (product * below);
-                product = product * (below * x);
-            }
-            length += product * inner;
-            for (int k = 0; k < last; ++k)
-                slopes[k] += by[k] * inner;
-            slopes[last] += product * steep;
-        }
-        for (int k = 0; k <= last; ++k)
-            if (needed.free.data[variable[k]] >= 0)
-                arm[needed.free.data[variable[k]]] -= slopes[k] * slope[variable[k]];
-    }
-
     // The length, and moment arms.
     void follow(int number, Reals& length) {
         const auto& path = tables.paths.data[number];
@@ -210,7 +171,13 @@ template <class Skeleton, class Needed, class Tables, class Fixed> struct Straig
             const int width = fixed.crossed.shape[1], *crossed = fixed.crossed.data + number * width;
             for (int k = 0; k < width && crossed[k] >= 0; ++k)
                 arm[crossed[k]] = all(0.0);
-            polynomial(path, length);
+            Reals slopes[MOST_VARIABLES];
+            length = polynomial_length(path, tables, value, slopes);
+            for (int k = 0; k < path.variables; ++k) {
+                const int own = tables.variable.data[path.first_variable + k];
+                if (needed.free.data[own] >= 0)
+                    arm[needed.free.data[own]] -= slopes[k] * slope[own];
+            }
             return;
         }
         const Point3 none = {all(0.0), all(0.0), all(0.0)};

@@ -15,6 +15,7 @@ import warp as wp
 from myowarp.kernels.lanes import DOUBLES, WIDEST, at_namespace_level
 from myowarp.kernels.launch import launch
 from myowarp.laws.paths.path import MOST_VARIABLES, PathTables
+from myowarp.laws.paths.polynomials import SOURCE as POLYNOMIALS
 from myowarp.laws.paths.tables import PathMemory
 from myowarp.osim.body.described import described
 from myowarp.osim.body.moment_arm import crossed
@@ -47,7 +48,7 @@ class Fixed:
 SOURCE = Path(__file__).with_suffix(".cpp")
 
 
-@wp.func_native(at_namespace_level(DOUBLES, SOURCE, HINGE=HINGE, MOST_VARIABLES=MOST_VARIABLES))
+@wp.func_native(at_namespace_level(DOUBLES, POLYNOMIALS, SOURCE, HINGE=HINGE, MOST_VARIABLES=MOST_VARIABLES))
 def declare_follow_straight(thread: int):
     """Declare the template of `straight_paths.cpp`."""
     ...

@@ -80,8 +80,8 @@ class FittedPath:
         return max(self.length_worst / LENGTH, self.arm_worst / ARM)
 
 
-def fit_function_paths(bones: Bones) -> tuple[list[FittedPath], list[str]]:
-    """Return polynomials for all paths of a model, and the names of those that have none.
+def fit_function_paths(bones: Bones, most_order: int = MOST_ORDER) -> tuple[list[FittedPath], list[str]]:
+    """Return polynomials up to an order for all paths of a model, and the names of those that have none.
 
     A path has none that crosses no coordinate, or more than `MOST_VARIABLES`, or is a function already.
     """
@@ -107,7 +107,7 @@ def fit_function_paths(bones: Bones) -> tuple[list[FittedPath], list[str]]:
             continue
         columns, waiting = list(crossed), numbers
         problem = _Problem(values[:, columns], low[columns], high[columns])
-        for order in problem.orders():
+        for order in problem.orders(most_order):
             wanted = paths.length[:, waiting], paths.moment_arm[:, waiting][:, :, columns]
             for number, fitted in zip(waiting, problem.fitted(order, *wanted), strict=True):
                 coefficients, *errors = fitted
@@ -203,10 +203,10 @@ class _Problem:
     def __init__(self, values: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
         self.values, self.middle, self.half = values, (low + high) / 2, np.maximum((high - low) / 2, 1e-6)
 
-    def orders(self) -> Iterable[int]:
+    def orders(self, most: int) -> Iterable[int]:
         """Return the orders to try."""
         dimension = self.values.shape[1]
-        return [order for order in range(1, MOST_ORDER + 1) if len(exponents(dimension, order)) <= MOST_TERMS]
+        return [order for order in range(1, most + 1) if len(exponents(dimension, order)) <= MOST_TERMS]
 
     def fitted(
         self, order: int, length: np.ndarray, arm: np.ndarray
@@ -294,15 +294,15 @@ def _rms(error: np.ndarray) -> np.ndarray:
     return np.sqrt((error**2).mean(axis=0))
 
 
-def write_fitted(source: Path, output: Path) -> str:
-    """Fit the paths of a model, write `FILES` into a folder, and return what is to be said.
+def write_fitted(source: Path, output: Path, most_order: int = MOST_ORDER) -> str:
+    """Fit the paths of a model up to an order, write `FILES` into a folder, and return what is to be said.
 
     Raises:
         ValueError: The file is not what it should be.
         OSError: A file cannot be read or written.
     """
     bones = Bones.read(source)
-    fitted, without = fit_function_paths(bones)
+    fitted, without = fit_function_paths(bones, most_order)
     write_function_paths(output / FILES[0], bones.model, fitted)
     columns = (
         *("length rms [m]", "length worst [m]", "moment arm rms [m]", "moment arm worst [m]"),

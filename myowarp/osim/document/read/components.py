@@ -52,7 +52,7 @@ FIELDS = tuple(dict.fromkeys(field for field, _ in READERS.values()))
 MAPPINGS = ("couplers", "muscles", "ligaments", "markers")
 """Fields that are looked up by name; the others are tuples."""
 
-INERT = (*FRAMES, "Station", "IMU", "FrameGeometry", "ModelVisualPreferences")
+INERT = (*FRAMES, "Station", "IMU", "FrameGeometry", "ModelVisualPreferences", "TableSource__double_")
 """Components that others refer to, or that only record or show."""
 
 
