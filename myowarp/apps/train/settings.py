@@ -108,6 +108,7 @@ class PPOSettings(OnPolicy):
     kl: float = option(0.0, "KL an action entry that the rate aims at, 3e-4 say; 0: none.", least=0.0)
     least_rate: float = option(1e-5, "Smallest learning rate with an aim.", least=0.0)
     largest_rate: float = option(1e-2, "Largest learning rate with an aim.", least=0.0)
+    memory: int = option(0, "Units of a GRU that the policy remembers an episode with.", least=0, most=4096)
     spread_rate: float = option(1e-3, "Learning rate of the spread of actions at the start.", least=0.0)
     entropy: float = option(0.0, "Weight of the entropy.", least=0.0)
     learning_rate: float = option(1e-3, "Learning rate of Adam at the start.", least=0.0)
@@ -258,6 +259,8 @@ def _rules(of: Settings) -> Iterator[tuple[bool, str, str]]:
     if isinstance(of, OnPolicy):
         yield iteration % of.minibatches == 0, "minibatches", f"divide the samples of an iteration, {product}"
     if isinstance(of, PPOSettings):
+        right = not of.memory or of.num_worlds % of.minibatches == 0
+        yield right, "minibatches", f"divide the {of.num_worlds} worlds, whose steps --memory keeps together"
         right = of.least_rate <= of.largest_rate
         yield right, "least_rate", f"be at most --largest-rate, {of.largest_rate}"
     if isinstance(of, ImproveSettings):
