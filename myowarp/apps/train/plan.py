@@ -218,12 +218,12 @@ def _check_ranks(job: Job) -> None:
     if chosen.start_share:  # states that one rank has kept are not those of another
         raise ValueError(f"--start-share is for one process, got {ranks.size} ranks; leave one of both out")
     worlds = ranks.share("--num-worlds", chosen.num_worlds)
-    rows = worlds if chosen.memory else worlds * chosen.rollout_steps
+    rows = worlds * chosen.rollout_steps // chosen.unrolled
     if rows % chosen.minibatches:
-        steps = "" if chosen.memory else f" x {chosen.rollout_steps} steps"
+        steps = chosen.rollout_steps // chosen.unrolled
         raise ValueError(
             f"--minibatches must divide the samples of a rank and iteration, {chosen.num_worlds} worlds / "
-            f"{ranks.size} ranks{steps} = {rows}, got {chosen.minibatches}"
+            f"{ranks.size} ranks x {steps} steps = {rows}, got {chosen.minibatches}"
         )
     ranks.device(job.setup.device)
 

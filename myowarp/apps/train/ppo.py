@@ -70,16 +70,20 @@ class Rollout(NamedTuple):
     std: torch.Tensor
     density: torch.Tensor
 
-    def parts(self, number: int, together: int = 1) -> list[Rollout]:
+    def parts(self, number: int, together: int = 1, worlds: int = 1) -> list[Rollout]:
         """Return the samples in so many parts of one size, drawn.
 
         Args:
             number: Of parts.
-            together: Steps of a world that stay together, one or all; those of all worlds follow each other.
+            together: Steps that follow each other in a world and stay together; a part has all first ones,
+                then all second ones.
+            worlds: Of which a step of each follows that of the one before.
         """
-        worlds, device = len(self.obs) // together, self.obs.device
+        device = self.obs.device
+        drawn = torch.randperm(len(self.obs) // together, device=device)
+        first = drawn // worlds * worlds * together + drawn % worlds
         steps = worlds * torch.arange(together, device=device)[:, None]
-        rows = [(steps + own).flatten() for own in torch.randperm(worlds, device=device).chunk(number)]
+        rows = [(steps + own).flatten() for own in first.chunk(number)]
         return [Rollout(*(v[own] if len(v) == len(self.obs) else v for v in self)) for own in rows]
 
 
@@ -87,7 +91,7 @@ class OnPolicyLearner(Learner):
     """The base of PPO and TRPO: policy, value function, samples and their advantages.
 
     Attributes:
-        together: Steps of a world that are one sample of an update.
+        together: Steps of a world that stay together in an update.
     """
 
     settings: OnPolicy
@@ -196,7 +200,7 @@ class PPO(OnPolicyLearner):
 
     def update(self, rollout: Rollout) -> None:
         """Pass over the samples some times, in parts that are drawn once, as rsl_rl does."""
-        parts = self.settings.minibatches, self.together
+        parts = self.settings.minibatches, self.together, self.settings.num_worlds
         if self.settings.precision == "bfloat16":
             rollout = rollout._replace(obs=rollout.obs.bfloat16())  # once, and not in every product
         # A rate with an aim is the host's, and so are messages to other ranks.

@@ -2,9 +2,9 @@
 
     h' = GRU(x, h)    mean = net(x, h')    value = net(x, h)
 
-x is a normalised observation; h, the memory, is 0 where an episode begins. Gradients go back through the
-control steps of an iteration and no further. The value function sees the memory that the policy acted with,
-and sends no gradient into it.
+x is a normalised observation; h, the memory, is 0 where an episode begins. Gradients go back through some
+control steps (`PPOSettings.unrolled`), to a memory that the policy acted with. The value function sees such
+memories too, and sends no gradient into them.
 
 Source: Cho et al. 2014, arXiv:1406.1078, in torch's form; of such policies where a parameter of the world is
 hidden, Ni, Eysenbach, Salakhutdinov 2022, arXiv:2110.05038.
@@ -122,7 +122,7 @@ class RecurrentPPO(PPO):
 
     def __init__(self, settings: PPOSettings, worlds: Worlds, ranks: Ranks) -> None:
         super().__init__(settings, worlds, ranks)
-        self.together = settings.rollout_steps
+        self.together = settings.unrolled
         memory = torch.zeros(worlds.num_worlds, settings.memory, device=self.device)
         self.register_buffer("remembered", memory)
 
@@ -145,5 +145,5 @@ class RecurrentPPO(PPO):
         self.remembered[ended] = 0.0
 
     def means(self, inputs: torch.Tensor) -> torch.Tensor:
-        """Return the means of whole sequences, flattened as they came."""
+        """Return the means of sequences, flattened as they came."""
         return self.policy(inputs.view(self.together, -1, inputs.shape[-1]))

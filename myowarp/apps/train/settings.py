@@ -21,6 +21,7 @@ from myowarp.definitions.option import checked, flag, option, other
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.setup import OPTIONS, Setup
 
+MOST_UNROLLED = 8  # 0.2 s and more; all steps of a rollout take twice the time of a small run
 PRECISIONS = ("auto", "bfloat16", "float32")
 NOISES = ("white", "repeated")
 TRAINING = Setup(physics="fast", muscle="mujoco", seed=0)  # unless the preset of a task says otherwise
@@ -113,6 +114,12 @@ class PPOSettings(OnPolicy):
     entropy: float = option(0.0, "Weight of the entropy.", least=0.0)
     learning_rate: float = option(1e-3, "Learning rate of Adam at the start.", least=0.0)
     last_rate: float = other(Settings, "last_rate", 0.1)
+
+    @property
+    def unrolled(self) -> int:
+        """Control steps that gradients of a memory go through, a divisor of the rollout's; 1 without one."""
+        most = min(MOST_UNROLLED, self.rollout_steps) if self.memory else 1
+        return next(steps for steps in range(most, 0, -1) if self.rollout_steps % steps == 0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -259,8 +266,9 @@ def _rules(of: Settings) -> Iterator[tuple[bool, str, str]]:
     if isinstance(of, OnPolicy):
         yield iteration % of.minibatches == 0, "minibatches", f"divide the samples of an iteration, {product}"
     if isinstance(of, PPOSettings):
-        right = not of.memory or of.num_worlds % of.minibatches == 0
-        yield right, "minibatches", f"divide the {of.num_worlds} worlds, whose steps --memory keeps together"
+        sequences = iteration // of.unrolled
+        right = sequences % of.minibatches == 0
+        yield right, "minibatches", f"divide the {sequences} sequences of {of.unrolled} steps of an iteration"
         right = of.least_rate <= of.largest_rate
         yield right, "least_rate", f"be at most --largest-rate, {of.largest_rate}"
     if isinstance(of, ImproveSettings):

@@ -35,7 +35,7 @@ KINDS: Mapping[str, Mapping[str, Any]] = {
 }
 ELBOW, HAND = "myoElbowPose1D6MRandom-v0", "myoHandReachRandom-v0"
 SETTINGS: Mapping[str, Mapping[str, Any]] = {
-    ELBOW: {"samples": 400_000},
+    ELBOW: {"samples": 200_000},
     HAND: {"samples": 2_000_000, "parent": PREFIX + HAND, "num_worlds": 256, "minibatches": 4},
 }
 """Settings of a training by task, beside its preset; all kinds have the same."""
