@@ -60,21 +60,19 @@ class Unrolled(torch.autograd.Function):
     def backward(ctx: Any, *slopes: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         """Return the gradients of the first four arguments."""
         weight, same, before, recalled, reset, update, new = ctx.saved_tensors
-        to_new = (1.0 - update) * (1.0 - new * new)
-        to_update, to_reset = (before - new) * update * (1.0 - update), recalled * reset * (1.0 - reset)
-        size, back = new.shape[-1], torch.zeros_like(new[0])
-        found = new.new_empty(*new.shape[:2], 4 * size)  # of n, r, z, and r (V h + c)
-        of_new, of_reset, of_update, of_recalled = found.split(size, dim=-1)
+        size, to_new = new.shape[-1], (1.0 - update) * (1.0 - new * new)
+        to_reset, to_update = recalled * reset * (1.0 - reset), (before - new) * update * (1.0 - update)
+        # Slopes of n, r, z and V h + c of n, over that of h'; the last three stand as rows of V do.
+        over = torch.stack((to_new, to_new * to_reset, to_update, to_new * reset), dim=-2)
+        found, back = torch.empty_like(over), torch.zeros_like(new[0])
+        of_recalled = found.flatten(-2)[..., size:]
         for t in reversed(range(len(new))):
             slope = slopes[0][t] + back
-            torch.mul(slope, to_new[t], out=of_new[t])
-            torch.mul(slope, to_update[t], out=of_update[t])
-            torch.mul(of_new[t], to_reset[t], out=of_reset[t])
-            torch.mul(of_new[t], reset[t], out=of_recalled[t])
-            back = torch.addmm(slope * update[t], found[t, :, size:], weight) * same[t]
-        gates = torch.cat((found[..., size : 3 * size], of_new), dim=-1)
-        recalled = found[..., size:].flatten(0, 1)
-        return gates, recalled.T @ before.flatten(0, 1), recalled.sum(dim=0), back, None
+            torch.mul(over[t], slope[:, None], out=found[t])
+            back = torch.addmm(slope * update[t], of_recalled[t], weight) * same[t]
+        gates = torch.cat((found[..., 1, :], found[..., 2, :], found[..., 0, :]), dim=-1)
+        rows = of_recalled.flatten(0, 1)
+        return gates, rows.T @ before.flatten(0, 1), rows.sum(dim=0), back, None
 
 
 class RecurrentPolicy(GaussianPolicy):
