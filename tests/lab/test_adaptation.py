@@ -190,6 +190,11 @@ def test_a_new_algorithm_enters_the_leaderboard_with_one_command(run, tmp_path, 
     assert "must have the columns protocol, task, patients, policy" in err
 
 
+def test_the_same_patients_have_one_name_from_texts_and_objects():
+    text = "sarcopenia(strength=Ramp(1.0, 0.0, onset=Uniform(0.5, 0.9)))"
+    assert leaderboard.patients_of(setup(text), None) == leaderboard.patients_of(setup(BROKEN), None)
+
+
 def test_the_committed_leaderboard_is_by_the_protocol():
     rows = leaderboard.read_board(BOARD)
     assert {row["protocol"] for row in rows} == {leaderboard.PROTOCOL}

@@ -19,6 +19,7 @@ from pathlib import Path
 from myowarp.apps.policies.baselines import OWN
 from myowarp.apps.reports.evaluation import EVALUATION_SEED
 from myowarp.apps.studies.adaptation import EPISODES, Adaptation
+from myowarp.definitions.condition import resolve
 from myowarp.definitions.setup import Setup
 from myowarp.disk import write_rows
 
@@ -47,9 +48,9 @@ def check_protocol(setup: Setup, names: Sequence[str], episodes: int) -> None:
 
 
 def patients_of(setup: Setup, table: Path | None) -> str:
-    """Return who changes: name and checksum of a table, else the conditions."""
+    """Return who changes: name and checksum of a table, else the conditions, alike from texts and objects."""
     if table is None:
-        return "; ".join(map(str, setup.conditions or ()))
+        return "; ".join(map(str, resolve(setup.conditions or (), setup.spec)))
     return f"{table.name} {hashlib.sha256(table.read_bytes()).hexdigest()[:12]}"
 
 
