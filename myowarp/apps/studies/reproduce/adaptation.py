@@ -14,6 +14,7 @@ import numpy as np
 from myowarp.apps.policies.baselines import PREFIX, load_baseline
 from myowarp.apps.policies.find import Policy
 from myowarp.apps.reports import panel
+from myowarp.apps.reports.evaluation import EVALUATION_SEED
 from myowarp.apps.reports.intervals import mean_interval
 from myowarp.apps.reports.result import PERCENT, Merit
 from myowarp.apps.studies import adaptation
@@ -28,19 +29,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 BASELINE, BLIND, TOLD, MEMORY = "baseline", "blind", "told", "memory"
-KINDS: Mapping[str, Mapping[str, Any]] = {
+KINDS: dict[str, dict[str, Any]] = {
     BLIND: {},
     TOLD: {"observe": ("parameters",)},
     MEMORY: {"memory": 32},
 }
 ELBOW, HAND = "myoElbowPose1D6MRandom-v0", "myoHandReachRandom-v0"
-SETTINGS: Mapping[str, Mapping[str, Any]] = {
+SETTINGS: dict[str, dict[str, Any]] = {
     ELBOW: {"samples": 200_000},
     HAND: {"samples": 2_000_000, "parent": PREFIX + HAND, "num_worlds": 256, "minibatches": 4},
 }
 """Settings of a training by task, beside its preset; all kinds have the same."""
-SEEDS, SEED = (0, 1, 2), 1_000_000
-EPISODES, QUICK_EPISODES = 1024, 32
+SEEDS = (0, 1, 2)
+QUICK_EPISODES = 32
 KEPT = 0.9  # share of what a told policy solves
 
 
@@ -78,10 +79,12 @@ def _study(lab: Lab, task: str, seed: int) -> dict[str, np.ndarray]:
     """
     policies = {BASELINE: load_baseline(task).checkpoint}
     policies |= {kind: lab.policy(training(task, kind), seed) for kind in KINDS}
-    episodes = QUICK_EPISODES if lab.quick else EPISODES
+    episodes = QUICK_EPISODES if lab.quick else adaptation.EPISODES
 
     def measure(tick: Tick) -> dict[str, np.ndarray]:
-        setup = complete(Setup(task=task, conditions=patients(), physics="parity", seed=SEED).over(lab.setup))
+        setup = complete(
+            Setup(task=task, conditions=patients(), physics="parity", seed=EVALUATION_SEED).over(lab.setup)
+        )
         acting = [Policy(name, checkpoint=checkpoint) for name, checkpoint in policies.items()]
         result = adaptation.study(setup, acting, episodes)
         falls = [(p.before, p.drop, p.recovery) for p in result.policies]
@@ -92,13 +95,20 @@ def _study(lab: Lab, task: str, seed: int) -> dict[str, np.ndarray]:
             "falls": np.array(falls),
         }
 
-    settings = {"task": task, "conditions": list(map(str, patients())), "seed": SEED, "episodes": episodes}
+    settings = {
+        "task": task,
+        "conditions": list(map(str, patients())),
+        "seed": EVALUATION_SEED,
+        "episodes": episodes,
+    }
     return lab.kept(f"{task}-seed{seed}", settings, measure, *policies.values())
 
 
 def findings(found: Mapping[str, list[dict[str, np.ndarray]]]) -> Findings:
     """Return figures of merit, claims and figure, of the runs of each task."""
-    rows, holds, lines = [], dict.fromkeys(("trained", "told", "memory", "kept"), True), []
+    rows: list[Merit] = []
+    lines: list[str] = []
+    holds = dict.fromkeys(("trained", "told", "memory", "kept"), True)
     for task, runs in found.items():
         falls = np.array([own["falls"] for own in runs])  # (seeds, policies, 3)
         after = np.array([own["shares"].mean(axis=1) for own in runs])  # (seeds, policies)
