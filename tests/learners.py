@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import torch
 
 from myowarp.apps.rollouts.ranks import ALONE
-from myowarp.apps.train.loop import LEARNERS
+from myowarp.apps.train.loop import learner_of
 from myowarp.apps.train.settings import choose
 from myowarp.apps.train.worlds import Clock, Step
 
@@ -44,4 +44,4 @@ def make_learner(algorithm, num_obs=6, num_actions=3, **given):
     """Return a learner with the defaults of its algorithm, besides what is given."""
     settings = choose("none", algorithm, parents(algorithm) | given)
     worlds = DrawnWorlds(settings.num_worlds, num_obs, num_actions)
-    return LEARNERS[settings.algorithm](settings, worlds, ALONE)
+    return learner_of(settings)(settings, worlds, ALONE)

@@ -260,13 +260,18 @@ def _blaming(columns: Sequence[str], function: Callable[..., T], *arguments: Any
 
 
 def _tear(values: Entries) -> dict[str, Any]:
-    """Return the parameters of a tendon tear: all muscles that anybody tore, and who tore which."""
+    """Return the parameters of a tendon tear: all muscles that anybody tore, who tore which, and when.
+
+    The time is that of a change of what is transmitted: whoever is told the parameters sees the tear come.
+    """
     if "muscles" not in values:
         raise ValueError("cohort column tear_time: it needs column tendon_tear, which says what tears")
     torn = sorted({muscle for muscles in values["muscles"] for muscle in muscles})
-    whole = [[float(muscle not in muscles) for muscle in torn] for muscles in values["muscles"]]
-    times = {name: parameter_of(entries) for name, entries in values.items() if name != "muscles"}
-    return {"muscles": torn, "transmission": np.array(whole)} | times if torn else {}
+    left = np.array([[float(muscle not in muscles) for muscle in torn] for muscles in values["muscles"]])
+    transmission: Value = left
+    if "time" in values:
+        transmission = Ramp(1.0, left, onset=parameter_of(values["time"]))  # type: ignore[arg-type]
+    return {"muscles": torn, "transmission": transmission} if torn else {}
 
 
 def _completed(condition: str, values: Entries) -> dict[str, Any]:

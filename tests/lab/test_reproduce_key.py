@@ -15,7 +15,16 @@ from myowarp.apps.cli.reproduce import Reproduce
 from myowarp.apps.policies.baselines import load_baseline
 from myowarp.apps.policies.checkpoint import CheckpointError, load_checkpoint
 from myowarp.apps.rollouts.run import stepped
-from myowarp.apps.studies.reproduce import baselines, conditions, grid, motor, speed, transfer, validation
+from myowarp.apps.studies.reproduce import (
+    adaptation,
+    baselines,
+    conditions,
+    grid,
+    motor,
+    speed,
+    transfer,
+    validation,
+)
 from myowarp.apps.studies.reproduce.catalog import EXPERIMENTS
 from myowarp.apps.studies.reproduce.experiment import Lab
 from myowarp.apps.studies.reproduce.policies import Training, retrained
@@ -70,6 +79,19 @@ def test_what_a_tear_takes_is_missed(found):
     for who, change in changes.items():
         assert change == pytest.approx(rotation[who] - rotation["all muscles"])
     assert "agrees" not in claims(result).values()
+
+
+@pytest.mark.slow
+def test_gains_of_adaptation_are_differences_in_the_same_episodes(found):
+    """Whoever was trained on patients who change is no worse in them than who was not, save by chance."""
+    result, folder = found("adaptation")
+    after = ours(result, "solved after the change")
+    for kind, over in (("blind", "baseline"), ("told", "blind"), ("memory", "blind")):
+        for task, gain in ours(result, f"gain of {kind} over {over}").items():
+            assert gain == pytest.approx(after[f"{task}, {kind}"] - after[f"{task}, {over}"])
+            assert gain > -10.0
+    assert {row["condition"].partition(",")[0] for row in result["merits"]} == set(adaptation.SETTINGS)
+    assert json.loads((folder / "result.json").read_text())["policies"] == "of the package"
 
 
 @pytest.mark.slow

@@ -45,9 +45,10 @@ def make_run(algorithm, seed=0, parent=None, **settings):
 )
 def test_an_inherited_normaliser_counts_what_it_has_seen_in_the_same_task(task, settings, count):
     """Else a rollout from the begin of all episodes would move it, and with it a policy that was good."""
-    arrays = make_run("ppo", minibatches=2).learner.acting()
+    first = make_run("ppo", minibatches=2)
+    arrays, contract = first.learner.acting(), {"columns": [[c.name] for c in first.env.sim.columns]}
     arrays["observation_mean"] = arrays["observation_mean"] + 3.0
-    parent = SimpleNamespace(task=task, policy=arrays, manifest={"samples": 7777})
+    parent = SimpleNamespace(task=task, policy=arrays, manifest={"samples": 7777, "contract": contract})
     run = make_run("ppo", parent=parent, minibatches=2, **settings)
     assert run.learner.normaliser.count == count
     np.testing.assert_allclose(run.learner.normaliser.mean, arrays["observation_mean"])

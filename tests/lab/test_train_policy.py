@@ -132,7 +132,7 @@ def test_a_run_starts_with_the_policy_of_another(trained):
     if "log_std" in arrays:
         given["mean_bound"] = learner.policy.mean_bound
     child = make_learner("ppo" if "log_std" in arrays else "sac", NUM_OBS, NUM_ACTIONS, **given)
-    child.inherit(arrays, samples, count=96)
+    child.inherit(arrays, samples, 96, np.arange(NUM_OBS))
     obs = observations()
     obs[:, fixed] = 0.0
     learner.normaliser.mean[fixed] = 0.0  # a column at its mean says nothing
@@ -148,7 +148,7 @@ def test_a_search_starts_from_the_means_of_any_policy(trained):
     learner, _ = trained
     given = {"hidden": (9, 8), "activation": learner.settings.activation, "num_worlds": 4, "copies": 2}
     child = make_learner("improve", NUM_OBS, NUM_ACTIONS, mean_bound=learner.policy.mean_bound, **given)
-    child.inherit(arrays_of(learner), 500, count=96)
+    child.inherit(arrays_of(learner), 500, 96, np.arange(NUM_OBS))
     obs = observations()
     assert np.abs(torch_means(child, obs) - torch_means(learner, obs)).max() < SAME
 

@@ -21,6 +21,7 @@ ALGORITHMS = {
         *("--kl", 1e-3, "--noise", "repeated", "--start-share", 0.5, "--bonus", "solved=2"),
         *("--selections", 4),
     ),
+    "memory": ("--minibatches", 2, "--epochs", 2, "--memory", 5),
     "trpo": ("--minibatches", 2, "--epochs", 2),
     "sac": (*KEPT, "--random-steps", 4, "--critic-width", 16, "--atoms", 21, "--start-share", 0.5),
     "dagger": (*KEPT, "--expert-steps", 16, "--physics", "fast", "--parity-after", 8 * 16 * 35),
@@ -37,6 +38,7 @@ def arguments(algorithm):
     sizes = ("--num-worlds", 8, "--rollout-steps", 16, "--hidden", 16, 16, "--samples", SAMPLES)
     places = ("--device", "cpu", "--save-seconds", 0, "--stop-success", 2, "--seed", 3)
     own = ("--selections", 0, *ALGORITHMS[algorithm])
+    algorithm = "ppo" if algorithm == "memory" else algorithm
     return [str(a) for a in ("train", ELBOW, "--algorithm", algorithm, *sizes, *places, *own)]
 
 

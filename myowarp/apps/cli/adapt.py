@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -36,6 +37,8 @@ class Adapt:
     """Patient table whose entries change; every patient has as many episodes."""
     episodes: int = 1024
     """Episodes of each policy, and worlds simulated together."""
+    board: Annotated[Path | None, optional("TABLE")] = None
+    """Leaderboard (.csv) that the figures are entered into, if they are by its protocol."""
     output: Path = Path("out/adapt")
     """Folder of the results."""
     overwrite: Overwrite = False
@@ -44,8 +47,11 @@ class Adapt:
 
     def __call__(self) -> None:
         """Check, run and print."""
-        from myowarp.apps.studies import adaptation
-        from myowarp.disk import check_folder, check_overwrite
+        from myowarp.apps.policies.find import find_policy
+        from myowarp.apps.reports.evaluation import EVALUATION_SEED
+        from myowarp.apps.studies import adaptation, leaderboard
+        from myowarp.definitions.setup import Setup
+        from myowarp.disk import check_folder, check_overwrite, plain
         from myowarp.sim.build import MOST_WORLDS
         from myowarp.tasks.setups import complete
 
@@ -54,13 +60,21 @@ class Adapt:
         check_folder(self.output)
         check_overwrite((self.output / adaptation.RESULT,), self.overwrite)
         console = Console(stderr=True)
-        setup = complete(self.asked.setup)
+        setup = complete(self.asked.setup.over(Setup(seed=EVALUATION_SEED)))
+        policies = [find_policy(name, setup.spec) for name in self.policies]
+        if self.board is not None:
+            leaderboard.check_protocol(setup, self.policies, self.episodes)
+            leaderboard.read_board(self.board)
+        patients = leaderboard.patients_of(setup, self.cohort)
         if self.cohort is not None:
             setup = adaptation.with_patients(setup, self.cohort, self.episodes)
-        result = adaptation.study(setup, self.policies, self.episodes, console)
+        result = adaptation.study(setup, policies, self.episodes, console)
         files = adaptation.save(result, self.output)
+        if self.board is not None:
+            leaderboard.enter(result, patients, self.board)
+            files = (*files, self.board)
         if self.json:
-            print(json.dumps([asdict(policy) for policy in result.policies], indent=1))
+            print(json.dumps(plain([asdict(policy) for policy in result.policies]), indent=1))
         else:
             _print_table(result)
         console.print(f"Saved {', '.join(map(str, files))}")
@@ -76,9 +90,9 @@ def _print_table(result: adaptation.Adaptation) -> None:
     table = Table("policy", "before [%]", "drop [%]", "half back [s]", "solved after [%]", "gain [%]")
     for row in result.policies:
         gain = "" if row.gain is None else _percent(row.gain, row.gain_interval)
-        back = "-" if row.recovery is None else f"{row.recovery:.2f}"
-        after = _percent(row.after, row.after_interval)
-        table.add_row(row.policy, f"{100 * row.before:.1f}", f"{100 * row.drop:.1f}", back, after, gain)
+        back = f"{row.recovery:.2f}" if math.isfinite(row.recovery) else "never"
+        before, drop = _percent(row.before, row.before_interval), _percent(row.drop, row.drop_interval)
+        table.add_row(row.policy, before, drop, back, _percent(row.after, row.after_interval), gain)
     console.print(table)
 
 

@@ -1,5 +1,7 @@
 """Trained policies as ONNX and TorchScript: the forward pass of `learned.py`, with the normaliser.
 
+A policy that remembers has what it remembers as second input and output: zeros where an episode begins.
+
 ONNX is written node by node from the arrays, which needs the package onnx alone; TorchScript needs torch.
 """
 
@@ -19,7 +21,7 @@ from myowarp.disk import in_place
 
 OPSET = 17  # of ONNX; 2022, every runtime in use reads it
 IR_VERSION = 8  # of the file; the one that came with that opset
-OBS, ACTION = "obs", "action"
+OBS, ACTION, MEMORY, NEXT_MEMORY = "obs", "action", "memory", "next_memory"
 
 
 def write_onnx(checkpoint: Checkpoint, path: Path) -> None:
@@ -48,6 +50,20 @@ def write_onnx(checkpoint: Checkpoint, path: Path) -> None:
     x = add("Sub", [OBS, constant("mean", policy.mean)])
     x = add("Div", [x, constant("spread", policy.spread)])
     x = add("Clip", [x, constant("low", -policy.clip), constant("high", policy.clip)])
+    inputs, outputs = [(OBS, policy.obs_size)], [(ACTION, policy.num_actions)]
+    if policy.memory:
+        weights = [constant(f"memory{index}", array) for index, array in enumerate(policy.memory)]
+        gates = [add("Gemm", [x, *weights[::2]]), add("Gemm", [MEMORY, *weights[1::2]])]
+        for part, whole in enumerate(gates):
+            names = [f"{gate}{part}" for gate in ("reset", "update", "new")]
+            nodes.append(helper.make_node("Split", [whole], names, axis=1))
+        reset, update = (add("Sigmoid", [add("Add", [f"{g}0", f"{g}1"])]) for g in ("reset", "update"))
+        new = add("Tanh", [add("Add", ["new0", add("Mul", [reset, "new1"])])])
+        kept = add("Mul", [update, add("Sub", [MEMORY, new])])
+        nodes.append(helper.make_node("Add", [new, kept], [NEXT_MEMORY]))
+        x = add("Concat", [x, NEXT_MEMORY], axis=1)
+        inputs.append((MEMORY, policy.num_remembered))
+        outputs.append((NEXT_MEMORY, policy.num_remembered))
     for index, (weight, bias) in enumerate(policy.layers):
         x = add("Gemm", [x, constant(f"weight{index}", weight), constant(f"bias{index}", bias)])
         if index < len(policy.layers) - 1:
@@ -67,8 +83,8 @@ def write_onnx(checkpoint: Checkpoint, path: Path) -> None:
     graph = helper.make_graph(
         nodes,
         checkpoint.task,
-        [tensor(OBS, policy.obs_size)],
-        [tensor(ACTION, policy.num_actions)],
+        [tensor(*entry) for entry in inputs],
+        [tensor(*entry) for entry in outputs],
         [numpy_helper.from_array(array, name) for name, array in constants.items()],
     )
     opset = helper.make_opsetid("", OPSET)
@@ -103,20 +119,28 @@ def write_torchscript(checkpoint: Checkpoint, path: Path) -> None:
             for index, (weight, bias) in enumerate(policy.layers):
                 self.register_buffer(f"weight{index}", torch.from_numpy(weight))
                 self.register_buffer(f"bias{index}", torch.from_numpy(bias))
+            for index, array in enumerate(policy.memory):
+                self.register_buffer(f"memory{index}", torch.from_numpy(array.T.copy()))
 
-        def forward(self, obs: torch.Tensor) -> torch.Tensor:
+        def forward(self, obs: torch.Tensor, memory: torch.Tensor | None = None) -> Any:
             """Return actions (num_worlds, num_actions) for observations (num_worlds, obs_size)."""
             x = ((obs - self.mean) / self.spread).clamp(-policy.clip, policy.clip)
+            if memory is not None:
+                weights = (getattr(self, f"memory{index}") for index in range(len(policy.memory)))
+                memory = torch.gru_cell(x, memory, *weights)
+                x = torch.cat((x, memory), dim=1)
             for index in range(len(policy.layers)):
                 x = x @ getattr(self, f"weight{index}") + getattr(self, f"bias{index}")
                 if index < len(policy.layers) - 1:
                     x = getattr(nn.functional, policy.activation)(x)
             x = x[:, : policy.num_actions]
-            return x.tanh() if policy.squashed else x.clamp(-1.0, 1.0)
+            action = x.tanh() if policy.squashed else x.clamp(-1.0, 1.0)
+            return action if memory is None else (action, memory)
 
     with torch.no_grad(), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "`torch.jit")  # is deprecated, and torch.export needs Python to run
-        script = torch.jit.trace(Module(), torch.zeros(2, policy.obs_size))
+        sizes = policy.obs_size, policy.num_remembered
+        script = torch.jit.trace(Module(), tuple(torch.zeros(2, size) for size in sizes if size))
         contract = json.dumps(checkpoint.manifest["contract"])
         content = io.BytesIO()  # a full disk ends the process where torch writes a file itself
         torch.jit.save(script, content, _extra_files={"contract": contract})

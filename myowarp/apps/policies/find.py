@@ -1,9 +1,11 @@
 """Policies by name: built in, trained, recorded or the user's own.
 
 A policy is a function of the observations, shape (num_worlds, obs_size), that returns actions in [-1, 1],
-shape (num_worlds, num_actions).
+shape (num_worlds, num_actions). One that remembers takes `begins`, too: which worlds begin an episode.
 """
 
+import inspect
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +14,7 @@ import numpy as np
 from myowarp.apps.policies.baselines import policy_folder
 from myowarp.apps.policies.checkpoint import Checkpoint
 from myowarp.apps.policies.hold import Hold, check_hold
-from myowarp.apps.policies.learned import Act, bind, read_policy
+from myowarp.apps.policies.learned import Act, begins, bind, read_policy
 from myowarp.apps.policies.muscle_control import MuscleControl, check_muscle_control
 from myowarp.apps.policies.replay import Replay, is_replay
 from myowarp.definitions.task import TaskSpec
@@ -31,13 +33,14 @@ class Policy:
 
     Attributes:
         name: How the user called it.
-        act: Function of the observations; None for the built-in policies.
+        act: Function of the observations, and of `begins` if it has a parameter of that name; None for the
+            built-in policies.
         checkpoint: What was trained; None for all others.
         excitations: Excitations over time; None for all others.
     """
 
     name: str
-    act: Act | None = None
+    act: Callable[..., np.ndarray] | None = None
     checkpoint: Checkpoint | None = None
     excitations: Storage | None = None
 
@@ -101,10 +104,11 @@ def acting(policy: Policy, sim: Simulation) -> Act:
     if policy.excitations is not None:
         return Replay(policy.name, policy.excitations, sim)
     if act is not None:
+        remembers = "begins" in _parameters(act)
 
         def guarded(obs: np.ndarray) -> np.ndarray:
             try:
-                return act(obs)
+                return act(obs, begins=begins(sim)) if remembers else act(obs)
             except (ValueError, OSError, RuntimeError, ImportError) as error:
                 raise PolicyError(f"policy {policy.name!r} failed") from error
 
@@ -118,3 +122,11 @@ def acting(policy: Policy, sim: Simulation) -> Act:
         return lambda obs: np.zeros(shape, dtype=np.float32)
     rng = np.random.default_rng(sim.setup.seed)
     return lambda obs: rng.uniform(-1.0, 1.0, shape).astype(np.float32)
+
+
+def _parameters(act: Callable[..., object]) -> Collection[str]:
+    """Return the names of a function's parameters; none of one that is not written in Python."""
+    try:
+        return inspect.signature(act).parameters.keys()
+    except ValueError:
+        return ()

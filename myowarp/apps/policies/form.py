@@ -109,10 +109,14 @@ def check_policy(manifest: Mapping[str, Any], policy: Mapping[str, np.ndarray]) 
     """
     contract, form = manifest["contract"], manifest["policy"]
     inputs, outputs = sum(size for _, size, _ in contract["columns"]), len(contract["actuators"])
-    widths = [inputs, *manifest["settings"]["hidden"], outputs * (1 if "log_std" in policy else 2)]
+    units = policy["memory.bias_ih"].size // 3 if "memory.bias_ih" in policy else 0
+    widths = [inputs + units, *manifest["settings"]["hidden"], outputs * (1 if "log_std" in policy else 2)]
     shapes: dict[str, tuple[int, ...]] = {"observation_mean": (inputs,), "observation_variance": (inputs,)}
     if "log_std" in policy:
         shapes["log_std"] = (outputs,)
+    if units:
+        shapes |= {"memory.weight_ih": (3 * units, inputs), "memory.weight_hh": (3 * units, units)}
+        shapes |= {"memory.bias_ih": (3 * units,), "memory.bias_hh": (3 * units,)}
     layers = [(f"net.{2 * i}.weight", f"net.{2 * i}.bias") for i in range(len(widths) - 1)]
     for (weight, bias), width, next_width in zip(layers, widths[:-1], widths[1:], strict=True):
         shapes |= {weight: (next_width, width), bias: (next_width,)}
@@ -130,9 +134,14 @@ def check_policy(manifest: Mapping[str, Any], policy: Mapping[str, np.ndarray]) 
         spread = np.sqrt(numbers["observation_variance"]) + np.float32(form["epsilon"])
         if not ((spread > 0.0) & (spread < np.inf)).all():
             raise ValueError("has observation_variance that is no variance")
-        # No activation function is farther from 0 than its argument, so that sizes bound all sums.
-        most = np.full(inputs, abs(form["clip"]), np.float32)
+        # No activation function is farther from 0 than its argument, so that sizes bound all sums. What is
+        # remembered lies between -1 and 1, however large the sums of its gates.
+        most, gates = np.full(inputs, abs(form["clip"]), np.float32), np.zeros(0, np.float32)
+        if units:
+            gates = np.abs(numbers["memory.weight_ih"]) @ most + np.abs(numbers["memory.bias_ih"])
+            gates += np.abs(numbers["memory.weight_hh"]).sum(axis=1) + np.abs(numbers["memory.bias_hh"])
+            most = np.append(most, np.ones(units, np.float32))
         for weight, bias in layers:
             most = np.abs(numbers[weight]) @ most + np.abs(numbers[bias])
-        if not np.isfinite([*most, np.exp(np.float32(form["log_std_bounds"][1]))]).all():
+        if not np.isfinite([*most, *gates, np.exp(np.float32(form["log_std_bounds"][1]))]).all():
             raise ValueError("has weights so large that actions are not finite")

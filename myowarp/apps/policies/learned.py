@@ -1,6 +1,7 @@
 """A trained policy from a checkpoint, in NumPy: playing one needs no torch.
 
     x = clip((obs - mean) / (sqrt(variance) + eps), -c, c)
+    h = GRU(x, h), x = (x, h)                where a policy remembers its episode (`--memory`)
     x = f(W x + b)  for every hidden layer
     a = clip(W x + b, -1, 1), or its tanh    one standard deviation for all states (PPO, TRPO)
     a = tanh(first half of W x + b)          the second half is its logarithm (SAC)
@@ -38,6 +39,15 @@ Act = Callable[[np.ndarray], np.ndarray]
 """Observations (num_worlds, obs_size) to actions (num_worlds, num_actions) in [-1, 1]."""
 
 
+MEMORY = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
+"""Arrays of a gated recurrent unit behind `memory.`, as torch has them: rows of reset, update, new."""
+
+
+def begins(sim: Simulation) -> np.ndarray:
+    """Return which worlds stand where an episode begins, (num_worlds,) bool."""
+    return np.equal(sim.episode.step_count.numpy(), 0)
+
+
 class LearnedPolicy:
     """Observations (rows, obs_size) to actions (rows, num_actions) in [-1, 1].
 
@@ -50,6 +60,8 @@ class LearnedPolicy:
         activation: Function between the layers, key in `ACTIVATIONS`.
         squashed: Whether actions without noise are the hyperbolic tangent of the last layer, else its clip.
         num_actions: Entries of an action, the first ones of the last layer.
+        memory: Arrays of `MEMORY`, weights as (inputs, outputs); empty: it remembers nothing.
+        num_remembered: Numbers that are remembered of a row.
     """
 
     def __init__(self, checkpoint: Checkpoint, sampled: Setup | None = None) -> None:
@@ -69,6 +81,9 @@ class LearnedPolicy:
         of_state = "log_std" not in arrays  # the spread, which then is the second half of the last layer
         self.squashed = of_state or form.get("mean_bound") == "tanh"
         self.num_actions = len(self.layers[-1][1]) // (2 if of_state else 1)
+        self.memory = [arrays[f"memory.{name}"].T for name in MEMORY if f"memory.{name}" in arrays]
+        self.num_remembered = len(self.memory[1]) if self.memory else 0
+        self._remembered = np.zeros((0, self.num_remembered), dtype=np.float32)
         self._log_std, self._bounds = arrays.get("log_std"), form["log_std_bounds"]
         self._rank = (sampled.rank if sampled else None) or (0, 1)
         self._rng = np.random.default_rng(sampled.seed) if sampled else None
@@ -78,12 +93,22 @@ class LearnedPolicy:
         """Entries of an observation."""
         return len(self.mean)
 
-    def __call__(self, obs: np.ndarray) -> np.ndarray:
-        """Return actions."""
-        x, function = (
-            np.clip((obs - self.mean) / self.spread, -self.clip, self.clip),
-            ACTIVATIONS[self.activation],
-        )
+    def __call__(self, obs: np.ndarray, begins: np.ndarray | None = None) -> np.ndarray:
+        """Return actions.
+
+        Args:
+            obs: What is observed.
+            begins: Rows that forget, (rows,) bool; None: none. All begin where their number has changed.
+        """
+        x = np.clip((obs - self.mean) / self.spread, -self.clip, self.clip)
+        if self.memory:
+            if len(self._remembered) != len(x):
+                self._remembered = np.zeros((len(x), self.num_remembered), dtype=np.float32)
+            if begins is not None:
+                self._remembered[begins] = 0.0
+            self._remembered = self._after(x, self._remembered)
+            x = np.concatenate((x, self._remembered), axis=1)
+        function = ACTIVATIONS[self.activation]
         for weight, bias in self.layers[:-1]:
             x = function(x @ weight + bias)
         weight, bias = self.layers[-1]
@@ -94,6 +119,14 @@ class LearnedPolicy:
         mean, log_std = np.split(x, 2, axis=1)
         return np.tanh(self._drawn(mean, log_std)).astype(np.float32)
 
+    def _after(self, x: np.ndarray, memory: np.ndarray) -> np.ndarray:
+        """Return the memory after a step, as of `myowarp.apps.train.recurrent`."""
+        of_x, of_memory, x_bias, memory_bias = self.memory
+        reset, update, new = np.split(x @ of_x + x_bias, 3, axis=1)
+        more_reset, more_update, more_new = np.split(memory @ of_memory + memory_bias, 3, axis=1)
+        new = np.tanh(new + _sigmoid(reset + more_reset) * more_new)
+        return (new + _sigmoid(update + more_update) * (memory - new)).astype(np.float32)
+
     def _drawn(self, mean: np.ndarray, log_std: np.ndarray) -> np.ndarray:
         """Return a draw, or the mean of a deterministic policy."""
         if self._rng is None:
@@ -102,6 +135,11 @@ class LearnedPolicy:
         (rank, size), (rows, columns) = self._rank, mean.shape
         drawn = self._rng.standard_normal((size, rows, columns), dtype=np.float32)[rank]
         return mean + std * drawn
+
+
+def _sigmoid(x: np.ndarray) -> np.ndarray:
+    """Return 1 / (1 + exp(-x)), which overflows nowhere."""
+    return 0.5 * (1.0 + np.tanh(0.5 * x))
 
 
 def read_policy(name: str, folder: Path, spec: TaskSpec) -> Checkpoint:
@@ -136,7 +174,11 @@ def bind(checkpoint: Checkpoint, sim: Simulation, sampled: Setup | None = None) 
         CheckpointError: Observations or actuators are other ones.
     """
     check_contract(checkpoint, sim)
-    policy, own = LearnedPolicy(checkpoint, sampled), checkpoint.manifest["contract"]["columns"]
+    learned, own = LearnedPolicy(checkpoint, sampled), checkpoint.manifest["contract"]["columns"]
+
+    def policy(obs: np.ndarray) -> np.ndarray:
+        return learned(obs, begins(sim) if learned.memory else None)
+
     wanted = [name for name, *_ in own if name in SENSES]
     if wanted == [column.name for column in sim.columns if column.name in SENSES]:
         return policy

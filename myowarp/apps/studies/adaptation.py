@@ -9,8 +9,9 @@ episodes that are solved k control steps after the change,
     recovery  = time from the least to where s has come back by half of the drop
     after     = share of the steps from the change to the end that are solved, a mean over episodes
 
-`after` has Student's interval over episodes, and so has its difference from the first policy's, in pairs.
-s(k) counts the episodes that last so long; it ends where fewer than half of them do.
+`after` has Student's interval over episodes, and so has its difference from the first policy's, in pairs; the
+others have a bootstrap's over episodes. s(k) counts the episodes that last so long; it ends where fewer than
+half of them do.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ import numpy as np
 from rich.console import Console
 
 from myowarp.apps.policies.checkpoint import trained_setup
-from myowarp.apps.policies.find import Policy, acting, find_policy
+from myowarp.apps.policies.find import Policy, acting
 from myowarp.apps.reports import panel
 from myowarp.apps.reports.intervals import mean_interval
 from myowarp.apps.rollouts.run import Step, Watcher, progress, run
@@ -44,9 +45,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RESULT = "adaptation.json"
+EPISODES = 1024
 BEFORE = 1.0  # s before the change over which success is taken
 WIDTH, HEIGHT = 6.4, 3.6  # inches
 LEAST_SHARE = 0.5  # of the episodes that must last for s(k) to be counted
+RESAMPLES = 1999  # of the bootstrap
+TAILS = 2.5, 97.5  # percentiles of it
+
+Interval = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -56,24 +62,26 @@ class Adapted:
     Attributes:
         policy: Its name.
         episodes: Episodes in which the patient changed while they lasted.
-        before: Share solved before the change.
-        drop: By how much it fell.
-        recovery: Time to half of the drop [s]; None: it did not come back that far, or nothing fell.
-        after: Share of the steps from the change on that are solved.
-        after_interval: Its 95 % interval.
-        gain: Difference of `after` from the first policy's; None for the first.
-        gain_interval: Its 95 % interval.
+        before, before_interval: Share solved before the change.
+        drop, drop_interval: By how much it fell.
+        recovery, recovery_interval: Time to half of the drop [s], 0 where nothing fell, infinite where it did
+            not come back that far.
+        after, after_interval: Share of the steps from the change on that are solved.
+        gain, gain_interval: Difference of `after` from the first policy's; None for the first.
     """
 
     policy: str
     episodes: int
     before: float
+    before_interval: Interval
     drop: float
-    recovery: float | None
+    drop_interval: Interval
+    recovery: float
+    recovery_interval: Interval
     after: float
-    after_interval: tuple[float, float]
+    after_interval: Interval
     gain: float | None = None
-    gain_interval: tuple[float, float] | None = None
+    gain_interval: Interval | None = None
 
 
 @dataclass(frozen=True)
@@ -84,12 +92,14 @@ class Adaptation:
         setup: The environment, but for what each policy observes.
         seconds: Time after the change [s], shape (num_steps,); negative before it.
         curves: s of every policy, shape (num_policies, num_steps).
+        shares: Share of solved steps after the change, shape (num_policies, num_episodes).
         policies: Figures of every policy.
     """
 
     setup: Setup
     seconds: np.ndarray
     curves: np.ndarray
+    shares: np.ndarray
     policies: tuple[Adapted, ...]
 
 
@@ -143,22 +153,22 @@ def with_patients(setup: Setup, table: Path, episodes: int) -> Setup:
 
 
 def study(
-    setup: Setup, names: Sequence[str], episodes: int = 1024, console: Console | None = None
+    setup: Setup, policies: Sequence[Policy], episodes: int = EPISODES, console: Console | None = None
 ) -> Adaptation:
     """Let policies act in patients who change.
 
     Args:
         setup: A complete setup whose conditions change within an episode.
-        names: Policies, as for `find_policy`; the first is what the others are compared with.
+        policies: Of different names; the first is what the others are compared with.
         episodes: Episodes of each, and worlds simulated together.
         console: Where progress is drawn.
 
     Raises:
-        ValueError: There is no such policy, no condition, or no patient changes in an episode.
+        ValueError: A policy is there twice, there is no condition, or no patient changes in an episode.
     """
-    if repeated := [name for name in names if list(names).count(name) > 1]:
+    names = [policy.name for policy in policies]
+    if repeated := [name for name in names if names.count(name) > 1]:
         raise ValueError(f"adapt compares different policies, got {repeated[0]!r} twice")
-    policies = [find_policy(name, setup.spec) for name in names]
     trails = [_follow(setup, policy, episodes, console) for policy in policies]
     for trail in trails:
         # A fault ends an episode of one policy alone; what counts is when all of them could see the change.
@@ -173,23 +183,30 @@ def study(
     dt, shares = setup.spec.control_dt, [_share_after(*own) for own in seen]
     span = max(1, round(BEFORE / dt))
     steps = np.arange(-span, setup.episode_steps)
-    curves = [_curve(steps, *own) for own in seen]
-    found = []
-    for policy, share, curve in zip(policies, shares, curves, strict=True):
+    counts = [_counts(steps, *own) for own in seen]
+    curves, found = [_curve(*own) for own in counts], []
+    for policy, share, curve, own in zip(policies, shares, curves, counts, strict=True):
         first = share is shares[0]
         paired = share - shares[0]
+        before, drop, recovery = _fall(curve, span, dt)
+        before_interval, drop_interval, recovery_interval = _fall_intervals(*own, span, dt)
         found.append(
             Adapted(
                 policy.name,
                 int(counted.sum()),
-                *_fall(curve, span, dt),
+                before=before,
+                before_interval=before_interval,
+                drop=drop,
+                drop_interval=drop_interval,
+                recovery=recovery,
+                recovery_interval=recovery_interval,
                 after=float(share.mean()),
                 after_interval=mean_interval(share, 0.0, 1.0),
                 gain=None if first else float(paired.mean()),
                 gain_interval=None if first else mean_interval(paired, -1.0, 1.0),
             )
         )
-    return Adaptation(setup, steps * dt, np.array(curves), tuple(found))
+    return Adaptation(setup, steps * dt, np.array(curves), np.array(shares), tuple(found))
 
 
 def _follow(setup: Setup, policy: Policy, episodes: int, console: Console | None) -> Trail:
@@ -210,23 +227,46 @@ def _share_after(solved: np.ndarray, changed: np.ndarray, length: np.ndarray) ->
     return (solved & after).sum(axis=0) / (length - changed)
 
 
-def _curve(steps: np.ndarray, solved: np.ndarray, changed: np.ndarray, length: np.ndarray) -> np.ndarray:
-    """Return s(k) for all k of `steps`; NaN where too few episodes last."""
+def _counts(
+    steps: np.ndarray, solved: np.ndarray, changed: np.ndarray, length: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return for all k of `steps` which episodes are solved and which last, each (num_steps, episodes)."""
     at = steps[:, None] + changed
     lasts = (at >= 0) & (at < length)
-    seen = lasts & solved[np.clip(at, 0, len(solved) - 1), np.arange(len(changed))]
-    number = lasts.sum(axis=1)
-    return np.where(number >= LEAST_SHARE * len(changed), seen.sum(axis=1) / np.maximum(number, 1), np.nan)
+    return lasts & solved[np.clip(at, 0, len(solved) - 1), np.arange(len(changed))], lasts
 
 
-def _fall(curve: np.ndarray, change: int, dt: float) -> tuple[float, float, float | None]:
+def _curve(solved: np.ndarray, lasts: np.ndarray, weight: np.ndarray | None = None) -> np.ndarray:
+    """Return s(k); NaN where too few episodes last.
+
+    Args:
+        solved: As of `_counts`.
+        lasts: As of `_counts`.
+        weight: How often each episode counts, shape (episodes, any); None: once.
+    """
+    weight = np.ones(lasts.shape[1]) if weight is None else weight
+    number = lasts @ weight
+    enough = number >= LEAST_SHARE * lasts.shape[1]
+    return np.where(enough, (solved @ weight) / np.maximum(number, 1), np.nan)
+
+
+def _fall(curve: np.ndarray, change: int, dt: float) -> tuple[float, float, float]:
     """Return success before the change, the drop and the time to half of it; the change is at an index."""
     before = float(np.nanmean(curve[:change])) if np.isfinite(curve[:change]).any() else math.nan
     after = curve[change:][np.isfinite(curve[change:])]
     least = int(np.argmin(after))
     drop = before - float(after[least])
     back = np.flatnonzero(after[least:] >= after[least] + 0.5 * drop)
-    return before, drop, float(back[0] * dt) if drop > 0.0 and back.size else None
+    return before, drop, 0.0 if drop <= 0.0 else float(back[0] * dt) if back.size else math.inf
+
+
+def _fall_intervals(solved: np.ndarray, lasts: np.ndarray, change: int, dt: float) -> list[Interval]:
+    """Return the 95 % intervals of what `_fall` returns, by a bootstrap over episodes."""
+    number = lasts.shape[1]
+    drawn = np.random.default_rng(0).multinomial(number, np.full(number, 1.0 / number), size=RESAMPLES)
+    falls = np.array([_fall(curve, change, dt) for curve in _curve(solved, lasts, drawn.T).T])
+    low, high = np.percentile(falls, TAILS, axis=0, method="inverted_cdf").tolist()
+    return list(zip(low, high, strict=True))
 
 
 def save(result: Adaptation, folder: Path) -> tuple[Path, ...]:

@@ -21,6 +21,9 @@ from myowarp.apps.train.replay import Replay
 from myowarp.apps.train.settings import Settings
 from myowarp.apps.train.worlds import Worlds
 
+OBSERVING = ("net.0.weight", "memory.weight_ih")
+"""Weights of a policy with a column for each number observed, and behind those one for each remembered."""
+
 
 class Learner(nn.Module):
     """A policy that learns.
@@ -97,27 +100,36 @@ class Learner(nn.Module):
             means["learning_rate"] = float(self.optimizers["policy"].param_groups[0]["lr"])
         return means
 
-    def inherit(self, parent: Mapping[str, np.ndarray], samples: int, count: int) -> None:
+    def inherit(self, parent: Mapping[str, np.ndarray], samples: int, count: int, places: np.ndarray) -> None:
         """Start from the policy of another run, with a spread and a value function of this one.
 
-        Of a policy whose spread depends on the state, the first outputs are the means.
+        Of a policy whose spread depends on the state, the first outputs are the means. What is observed or
+        remembered here alone says nothing at first.
 
         Args:
             parent: Arrays of that policy.
             samples: Samples that its normaliser of observations has seen.
             count: Samples as which they count here, few enough for the new task's to outweigh them soon.
+            places: Where its observations stand in those of this task, shape (its obs_size,).
         """
-        own = self.policy.state_dict().items()
-        theirs = {name: v if name == "log_std" else tensor(parent[name])[: len(v)] for name, v in own}
-        self.policy.load_state_dict(theirs)
         mean, variance = parent["observation_mean"], parent["observation_variance"]
         # A column that never changed, such as a fixed goal, has weights that nothing trained, and no more
         # variance than a normaliser starts with: that of one sample beside the mean 0.
         unseen = variance * samples < 1.01 * (1.0 + mean * mean)
-        first = self.policy.net[0]
-        assert isinstance(first, nn.Linear)
-        first.weight.data[:, torch.from_numpy(unseen)] = 0.0
-        moments = {"mean": tensor(mean), "variance": tensor(variance), "count": torch.tensor(count)}
+        own = self.policy.state_dict()
+        for name in own.keys() & parent.keys() - {"log_std"}:
+            theirs = tensor(parent[name])[: len(own[name])]
+            if name in OBSERVING:
+                theirs[:, : len(mean)][:, torch.from_numpy(unseen)] = 0.0
+                remembered = len(self.normaliser.mean) + np.arange(theirs.shape[1] - len(mean))
+                given = theirs
+                theirs = torch.zeros_like(own[name])
+                theirs[:, torch.from_numpy(np.append(places, remembered))] = given.to(theirs)
+            own[name] = theirs
+        self.policy.load_state_dict(own)
+        moments = self.normaliser.state_dict() | {"count": torch.tensor(count)}
+        for name, values in {"mean": mean, "variance": variance}.items():
+            moments[name][places] = tensor(values).to(moments[name])
         self.normaliser.load_state_dict(moments)
 
     def follow(self, keep: float) -> None:

@@ -21,6 +21,7 @@ from myowarp.apps.train.dagger import DAgger, Imitation
 from myowarp.apps.train.improve import Improve
 from myowarp.apps.train.learner import Learner
 from myowarp.apps.train.ppo import PPO
+from myowarp.apps.train.recurrent import RecurrentPPO
 from myowarp.apps.train.sac import SAC
 from myowarp.apps.train.settings import Settings
 from myowarp.apps.train.trpo import TRPO
@@ -34,7 +35,7 @@ RANK_SEEDS = 1_000_003  # from the seed of one rank's actions to that of the nex
 INHERITED_STEPS = 32
 """Control steps of every world as which all counts that a parent's normaliser has seen in another task."""
 AGENT = "agent."
-OF_RANKS = ("agent.noise.", "agent.torch_generator", "agent.cuda_generator")
+OF_RANKS = ("agent.noise.", "agent.remembered", "agent.torch_generator", "agent.cuda_generator")
 """Begins of names of the learner's arrays of which every rank has rows of its own: one a world, or one."""
 FIGURES = ("policy_loss", "value_loss", "critic_loss", "action_std", "kl", "learning_rate", "entropy_weight")
 """Columns of `progress.csv` in every run; NaN where an algorithm has none."""
@@ -77,12 +78,15 @@ class Run:
         torch.manual_seed(seed)
         self.worlds = Worlds(env, start, bonus.weights(settings.bonus), settings.start_share)
         own = dataclasses.replace(settings, num_worlds=env.num_envs)
-        self.learner = LEARNERS[settings.algorithm](own, self.worlds, ranks)
+        self.learner = learner_of(settings)(own, self.worlds, ranks)
         self._let_expert_act()
         if parent is not None:
+            blocks = (env.sim.blocks[name] for name, *_ in parent.manifest["contract"]["columns"])
+            places = np.concatenate([np.arange(block.start, block.stop) for block in blocks])
             seen, same = parent.manifest["samples"], parent.task == env.sim.scene.spec.key
-            known = seen if same else settings.num_worlds * INHERITED_STEPS
-            self.learner.inherit(parent.policy, seen, settings.parent_samples or known)
+            known = settings.num_worlds * INHERITED_STEPS
+            known = seen if same and len(places) == self.worlds.num_obs else known
+            self.learner.inherit(parent.policy, seen, settings.parent_samples or known, places)
         self.learner.follow(settings.average)
         if not ranks.leads:  # one policy, but actions of its own
             torch.manual_seed(seed + RANK_SEEDS * ranks.rank)
@@ -181,6 +185,11 @@ class Run:
         self.updates = manifest["updates"]
         put(self.learner.average, checkpoint.policy)
         self.learner.restore(below(state, AGENT))
+
+
+def learner_of(settings: Settings) -> type[Learner]:
+    """Return what learns by some settings."""
+    return RecurrentPPO if getattr(settings, "memory", 0) else LEARNERS[settings.algorithm]
 
 
 def precision(settings: Settings, device: str) -> str:

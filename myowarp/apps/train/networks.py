@@ -89,15 +89,19 @@ class GaussianPolicy(nn.Module):
 
     A mean beyond -1 or 1 hides its noise behind that clip, and with it the gradient that could bring it back;
     the hyperbolic tangent of it does not.
+
+    Attributes:
+        num_inputs: Numbers that the mean is a function of.
     """
 
     log_std_bounds = GAUSSIAN_LOG_STD
 
-    def __init__(self, num_obs: int, num_actions: int, settings: Gaussian) -> None:
+    def __init__(self, num_inputs: int, num_actions: int, settings: Gaussian) -> None:
         super().__init__()
+        self.num_inputs = num_inputs
         self.mean_bound, mean = settings.mean_bound, settings.initial_mean
         first = math.atanh(mean) if self.mean_bound == "tanh" else mean
-        self.net = perceptron(num_obs, settings.hidden, num_actions, settings.activation, first)
+        self.net = perceptron(num_inputs, settings.hidden, num_actions, settings.activation, first)
         self.log_std = nn.Parameter(torch.full((num_actions,), math.log(settings.initial_std)))
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:

@@ -138,7 +138,7 @@ def plan(
         check_choice("term of --bonus", name, bonus.names(spec))
     parent = None
     if chosen.parent:
-        chosen, parent = _with_parent(chosen, spec, given)
+        chosen, parent = _with_parent(chosen, asked, spec, given)
     if expert := getattr(chosen, "expert", ""):
         find_policy(expert, spec)
     return _with_files(Job(asked, complete(asked), chosen, folder, parent=parent, **how))
@@ -217,16 +217,20 @@ def _check_ranks(job: Job) -> None:
         )
     if chosen.start_share:  # states that one rank has kept are not those of another
         raise ValueError(f"--start-share is for one process, got {ranks.size} ranks; leave one of both out")
-    rows = ranks.share("--num-worlds", chosen.num_worlds) * chosen.rollout_steps
+    worlds = ranks.share("--num-worlds", chosen.num_worlds)
+    rows = worlds * chosen.rollout_steps // chosen.unrolled
     if rows % chosen.minibatches:
+        steps = chosen.rollout_steps // chosen.unrolled
         raise ValueError(
             f"--minibatches must divide the samples of a rank and iteration, {chosen.num_worlds} worlds / "
-            f"{ranks.size} ranks x {chosen.rollout_steps} steps = {rows}, got {chosen.minibatches}"
+            f"{ranks.size} ranks x {steps} steps = {rows}, got {chosen.minibatches}"
         )
     ranks.device(job.setup.device)
 
 
-def _with_parent(chosen: Settings, spec: TaskSpec, given: Mapping[str, Any]) -> tuple[Settings, Checkpoint]:
+def _with_parent(
+    chosen: Settings, asked: Setup, spec: TaskSpec, given: Mapping[str, Any]
+) -> tuple[Settings, Checkpoint]:
     """Return settings with the shape of a parent's policy, and its checkpoint; no other may be given."""
     name = chosen.parent
     if (folder := policy_folder(name, spec.key)) is None:
@@ -239,7 +243,14 @@ def _with_parent(chosen: Settings, spec: TaskSpec, given: Mapping[str, Any]) -> 
             f"--parent {name!r} was trained by {manifest['algorithm']}, whose policies {chosen.algorithm} "
             "cannot train"
         )
+    senses = trained_setup(manifest).observe or ()
+    if missing := [sense for sense in senses if sense not in (asked.observe or ())]:
+        raise CheckpointError(f"--parent {name!r} observes {missing[0]}; add it to --observe")
     theirs = {key: manifest["settings"][key] for key in ("hidden", "activation")}
+    if units := manifest["settings"].get("memory", 0):
+        theirs["memory"] = units
+        if not isinstance(chosen, settings.PPOSettings):
+            raise CheckpointError(f"--parent {name!r} has a memory, which {chosen.algorithm} cannot train")
     if trains:
         theirs["mean_bound"] = manifest["policy"].get("mean_bound", "clip") if gaussian else "tanh"
     for key, shape in theirs.items():

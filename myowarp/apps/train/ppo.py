@@ -53,7 +53,8 @@ class Rollout(NamedTuple):
     """Samples of an iteration, one row a sample.
 
     Attributes:
-        obs: Normalised observations, shape (rows, obs_size).
+        obs: Inputs of policy and value function: normalised observations, and what is remembered if anything
+            is, shape (rows, num_inputs).
         action: Actions, before they are clipped, shape (rows, num_actions).
         mean, std: The policy's means, same shape, and standard deviations, shape (num_actions,).
         advantage: Advantages with mean 0 and deviation 1, shape (rows,).
@@ -69,29 +70,59 @@ class Rollout(NamedTuple):
     std: torch.Tensor
     density: torch.Tensor
 
-    def parts(self, number: int) -> list[Rollout]:
-        """Return the samples in so many parts of one size, drawn."""
-        rows = torch.randperm(len(self.obs), device=self.obs.device)
-        columns = [v[rows].chunk(number) if len(v) == len(rows) else [v] * number for v in self]
-        return [Rollout(*values) for values in zip(*columns, strict=True)]
+    def parts(self, number: int, together: int = 1, worlds: int = 1) -> list[Rollout]:
+        """Return the samples in so many parts of one size, drawn.
+
+        Args:
+            number: Of parts.
+            together: Steps that follow each other in a world and stay together; a part has all first ones,
+                then all second ones.
+            worlds: Of which a step of each follows that of the one before.
+        """
+        device = self.obs.device
+        drawn = torch.randperm(len(self.obs) // together, device=device)
+        first = drawn // worlds * worlds * together + drawn % worlds
+        steps = worlds * torch.arange(together, device=device)[:, None]
+        rows = [(steps + own).flatten() for own in first.chunk(number)]
+        return [Rollout(*(v[own] if len(v) == len(self.obs) else v for v in self)) for own in rows]
 
 
 class OnPolicyLearner(Learner):
-    """The base of PPO and TRPO: policy, value function, samples and their advantages."""
+    """The base of PPO and TRPO: policy, value function, samples and their advantages.
+
+    Attributes:
+        together: Steps of a world that stay together in an update.
+    """
 
     settings: OnPolicy
     policy: GaussianPolicy
     iterations: torch.Tensor
+    together = 1
 
     def __init__(self, settings: OnPolicy, worlds: Worlds, ranks: Ranks) -> None:
         super().__init__(settings, worlds, ranks)
-        self.policy = GaussianPolicy(worlds.num_obs, worlds.num_actions, settings)
-        self.value = perceptron(worlds.num_obs, settings.hidden, 1, settings.activation)
+        self.policy = self.make_policy(worlds)
+        self.value = perceptron(self.policy.num_inputs, settings.hidden, 1, settings.activation)
         self.returns = Normaliser(1)
         self.noise = RepeatedNoise(worlds.num_worlds, worlds.num_actions)
         self.register_buffer("iterations", torch.zeros((), dtype=torch.int64))
         self.to(self.device)
         self.optimizers = {"value": self.adam(self.value.parameters(), settings.value_rate)}
+
+    def make_policy(self, worlds: Worlds) -> GaussianPolicy:
+        """Return the policy as it starts."""
+        return GaussianPolicy(worlds.num_obs, worlds.num_actions, self.settings)
+
+    def inputs(self, obs: torch.Tensor) -> torch.Tensor:
+        """Return what policy and value function are given where all worlds observe this."""
+        return self.normaliser(obs)
+
+    def act(self, inputs: torch.Tensor) -> torch.Tensor:
+        """Return the means of the actions of all worlds."""
+        return self.policy(inputs)
+
+    def forget(self, ended: torch.Tensor) -> None:
+        """Begin anew in the worlds of a mask, whose episodes are over."""
 
     def iterate(self, worlds: Worlds) -> None:
         """Act for some control steps, and learn from them."""
@@ -109,30 +140,32 @@ class OnPolicyLearner(Learner):
         return bool(self.iterations < self.settings.value_first)
 
     @torch.no_grad()
-    def worth(self, obs: torch.Tensor) -> torch.Tensor:
-        """Return the values of normalised observations, in units of the reward."""
+    def worth(self, inputs: torch.Tensor) -> torch.Tensor:
+        """Return values, in units of the reward."""
         with self.products():
-            return self.returns.inverse(self.value(obs).float())[..., 0]
+            return self.returns.inverse(self.value(inputs).float())[..., 0]
 
     @torch.no_grad()
     def collect(self, worlds: Worlds) -> Rollout:
         """Act in all worlds; returns the samples with their advantages."""
         steps, shape = self.settings.rollout_steps, (worlds.num_worlds, worlds.num_actions)
-        obs = torch.empty(steps, worlds.num_worlds, worlds.num_obs, device=self.device)
-        seen, (action, mean) = torch.empty_like(obs), torch.empty(2, steps, *shape, device=self.device)
+        obs = torch.empty(steps, worlds.num_worlds, self.policy.num_inputs, device=self.device)
+        seen = torch.empty(steps, *worlds.obs.shape, device=self.device)
+        action, mean = torch.empty(2, steps, *shape, device=self.device)
         reward, ended = torch.empty(2, steps, worlds.num_worlds, device=self.device)
         std, repeated = self.policy.std.clone(), self.settings.noise == "repeated"
         for t in range(steps):
-            seen[t], obs[t] = worlds.obs, self.normaliser(worlds.obs)
+            seen[t], obs[t] = worlds.obs, self.inputs(worlds.obs)
             with self.products():
-                mean[t] = self.policy(obs[t])
+                mean[t] = self.act(obs[t])
             action[t] = mean[t] + std * (self.noise.next() if repeated else torch.randn_like(mean[t]))
             step = worlds.step(action[t])
             reward[t], ended[t] = step.reward, step.ended.float()
             if step.truncated.any():  # the time is over, not the task: what would have followed counts
-                further = self.worth(self.normaliser(step.obs[step.truncated]))
+                further = self.worth(self.inputs(step.obs)[step.truncated])
                 reward[t, step.truncated] += self.settings.discount * further
-        values = self.worth(torch.cat((obs, self.normaliser(worlds.obs)[None])))
+            self.forget(step.ended)
+        values = self.worth(torch.cat((obs, self.inputs(worlds.obs)[None])))
         advantage = advantages(reward, ended, values, self.settings.discount, self.settings.trace_decay)
         returns = (advantage + values[:-1]).flatten()[:, None]
         self.returns.see(returns, self.ranks)
@@ -159,19 +192,25 @@ class PPO(OnPolicyLearner):
 
     def __init__(self, settings: PPOSettings, worlds: Worlds, ranks: Ranks) -> None:
         super().__init__(settings, worlds, ranks)
-        self.optimizers["policy"] = self.adam(self.policy.net.parameters(), settings.learning_rate)
+        learned = (value for name, value in self.policy.named_parameters() if name != "log_std")
+        self.optimizers["policy"] = self.adam(learned, settings.learning_rate)
         self.optimizers["spread"] = self.adam([self.policy.log_std], settings.spread_rate)
         self.register_buffer("rate", torch.tensor(settings.learning_rate, dtype=torch.float64))
         self._step = Captured(self, self._descend)
 
     def update(self, rollout: Rollout) -> None:
         """Pass over the samples some times, in parts that are drawn once, as rsl_rl does."""
+        parts = self.settings.minibatches, self.together, self.settings.num_worlds
         if self.settings.precision == "bfloat16":
             rollout = rollout._replace(obs=rollout.obs.bfloat16())  # once, and not in every product
         # A rate with an aim is the host's, and so are messages to other ranks.
         alike = not (self.value_alone or self.settings.kl or self.ranks.size > 1)
-        for part in rollout.parts(self.settings.minibatches) * self.settings.epochs:
+        for part in rollout.parts(*parts) * self.settings.epochs:
             self._step(*part, alike=alike)
+
+    def means(self, inputs: torch.Tensor) -> torch.Tensor:
+        """Return the means of samples, from inputs of as many steps of each world as stay together."""
+        return self.policy(inputs)
 
     def _descend(self, *samples: torch.Tensor) -> None:
         """Do a gradient step of value function and policy on samples, the fields of a `Rollout`."""
@@ -182,7 +221,7 @@ class PPO(OnPolicyLearner):
     def _update_policy(self, part: Rollout) -> None:
         """Make actions of positive advantage more likely, within the clip."""
         with self.products():
-            mean = self.policy(part.obs)
+            mean = self.means(part.obs)
         std, clip = self.policy.std, self.settings.clip
         ratio = (log_density(part.action, mean, std) - part.density).exp()
         gain = torch.min(ratio * part.advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * part.advantage)

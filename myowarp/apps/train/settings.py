@@ -21,6 +21,7 @@ from myowarp.definitions.option import checked, flag, option, other
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.setup import OPTIONS, Setup
 
+MOST_UNROLLED = 8  # 0.2 s and more; all steps of a rollout take twice the time of a small run
 PRECISIONS = ("auto", "bfloat16", "float32")
 NOISES = ("white", "repeated")
 TRAINING = Setup(physics="fast", muscle="mujoco", seed=0)  # unless the preset of a task says otherwise
@@ -108,10 +109,17 @@ class PPOSettings(OnPolicy):
     kl: float = option(0.0, "KL an action entry that the rate aims at, 3e-4 say; 0: none.", least=0.0)
     least_rate: float = option(1e-5, "Smallest learning rate with an aim.", least=0.0)
     largest_rate: float = option(1e-2, "Largest learning rate with an aim.", least=0.0)
+    memory: int = option(0, "Units of a GRU that the policy remembers an episode with.", least=0, most=4096)
     spread_rate: float = option(1e-3, "Learning rate of the spread of actions at the start.", least=0.0)
     entropy: float = option(0.0, "Weight of the entropy.", least=0.0)
     learning_rate: float = option(1e-3, "Learning rate of Adam at the start.", least=0.0)
     last_rate: float = other(Settings, "last_rate", 0.1)
+
+    @property
+    def unrolled(self) -> int:
+        """Control steps that gradients of a memory go through, a divisor of the rollout's; 1 without one."""
+        most = min(MOST_UNROLLED, self.rollout_steps) if self.memory else 1
+        return next(steps for steps in range(most, 0, -1) if self.rollout_steps % steps == 0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -258,6 +266,9 @@ def _rules(of: Settings) -> Iterator[tuple[bool, str, str]]:
     if isinstance(of, OnPolicy):
         yield iteration % of.minibatches == 0, "minibatches", f"divide the samples of an iteration, {product}"
     if isinstance(of, PPOSettings):
+        sequences = iteration // of.unrolled
+        right = sequences % of.minibatches == 0
+        yield right, "minibatches", f"divide the {sequences} sequences of {of.unrolled} steps of an iteration"
         right = of.least_rate <= of.largest_rate
         yield right, "least_rate", f"be at most --largest-rate, {of.largest_rate}"
     if isinstance(of, ImproveSettings):

@@ -1,6 +1,7 @@
 """The experiments there are: those of the paper, in its order, then those beyond it."""
 
 from myowarp.apps.studies.reproduce import (
+    adaptation,
     baselines,
     cohort_exo,
     conditions,
@@ -21,5 +22,5 @@ from myowarp.definitions.registry import Registry
 
 EXPERIMENTS: Registry[Experiment] = Registry("experiment")
 _PAPER = validation, speed, baselines, sarcopenia, fatigue, tear, transfer, exo1, exo2
-for _file in (*_PAPER, grid, motor, conditions, cohort_exo, recovery):
+for _file in (*_PAPER, grid, motor, conditions, cohort_exo, recovery, adaptation):
     EXPERIMENTS.add(_file.EXPERIMENT.name, _file.EXPERIMENT)
