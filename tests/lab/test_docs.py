@@ -84,6 +84,7 @@ SMALL = {
         **{"--gradient-steps": "2", "--selections": "0"},
     },
     "eval": {"--episodes": "2"},
+    "score": {"--num-worlds": "1"},
     "adapt": {"--episodes": "4"},
     "reproduce": {"--seeds": "1", "--num-worlds": "2"},
 }
