@@ -38,9 +38,9 @@ EMG = {
     "gluteus maximus": [(94.0, 24.0)],
     "gluteus medius": [(95.0, 29.0)],
 }
-"""Where in the cycle muscles are on [%], Perry 1992. Hamstrings are semimembranosus (81 to 5) and the long
-head of biceps femoris (79 to 5), vasti are medialis (87 to 16) and lateralis (88 to 15), gluteus maximus is
-its upper part."""
+"""Spans of the cycle in which muscles are on [%], Perry 1992. Hamstrings are semimembranosus (81 to 5) and
+the long head of biceps femoris (79 to 5), vasti are medialis (87 to 16) and lateralis (88 to 15), gluteus
+maximus is its upper part."""
 SOURCES = (
     "two people, one trial each: gait2354 subject01 of OpenSim (Delp et al. 1990, Anderson and Pandy 1999; "
     "CC BY 3.0) and the walking subject of Rajagopal et al. 2016, doi:10.1109/TBME.2016.2586891 (MIT), by "

@@ -105,10 +105,13 @@ def test_intervals_are_over_episodes():
 def test_falls_are_counted_and_said():
     walks = [strides_of(striding(fell=k == 0)) for k in range(4)]
     walk = measured("walks", [*walks, Strides(steps=1, fell=True)])
+    assert (walk.strides, len(walk.values["speed"])) == (27, 3)
     reference = as_reference(walked())
     assert errors(walk, reference)["falls"] == pytest.approx(0.4)
     said = [text for text, bad in findings(walk, score(walk, reference), reference) if bad]
     assert said[0] == "2 of 5 episodes ended with a fall, one in 22.5 steps."
+    with pytest.raises(ValueError, match=r"falls in 2 of 2 episodes, once in 6 steps"):
+        measured("a drunkard", [walks[0], Strides(steps=1, fell=True)])
 
 
 def test_every_measure_has_a_group():
@@ -327,12 +330,14 @@ def test_the_page_and_the_json_hold_the_score(tmp_path):
     from myowarp.apps.reports.walk_page import write_page
     from myowarp.apps.reports.walk_score import as_dict
 
-    walk, reference = walked(late=0.05, fell=True), read_reference()
+    walks = [strides_of(striding(late=0.05, fell=fell)) for fell in (False, True, False)]
+    walk, reference = measured("walks", walks), read_reference()
     found = score(walk, reference)
     write_page(tmp_path, walk, found, reference)
     page = (tmp_path / "score.html").read_text()
     assert "knee angle, right" in page
-    assert "1 of 1 episodes ended with a fall" in page
+    assert "18 strides of 2 episodes without a fall" in page
+    assert "1 of 3 episodes ended with a fall, one in 33 steps." in page
     assert (tmp_path / "score.png").read_bytes().startswith(b"\x89PNG")
     said = json.loads(json.dumps(as_dict(walk, found, reference, {"task": "t"})))
     worst = said["measures"][0]

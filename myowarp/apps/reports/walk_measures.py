@@ -24,12 +24,12 @@ class Measured:
 
     Attributes:
         name: Of the walks.
-        curves: By name with its side, shape (n, 101).
-        values: By name in `UNITS`, shape (n,).
+        curves: By name with its side, of walks without a fall, shape (n, 101).
+        values: By name in `UNITS`, likewise, shape (n,).
         episodes: Number of walks.
         falls: Walks that ended with a fall.
-        strides: Number of strides.
-        steps: Number of steps, those of falls included.
+        strides: Number of strides, of walks without a fall.
+        steps: Number of steps of all walks.
         over: What n counts, "episodes" or "strides".
     """
 
@@ -44,19 +44,22 @@ class Measured:
 
 
 def measured(name: str, walks: Sequence[Strides]) -> Measured:
-    """Return the measures of walks.
+    """Return the measures of walks, all but falls of those that go on to the end.
 
     Raises:
-        ValueError: None has a whole stride.
+        ValueError: All end with a fall, or none has a whole stride.
     """
-    able = [walk for walk in walks if len(walk.values.get("speed", ()))]
-    falls = sum(walk.fell for walk in walks)
+    falls, steps = sum(walk.fell for walk in walks), sum(walk.steps for walk in walks)
+    if walks and falls == len(walks):
+        raise ValueError(
+            f"a score needs walks that go on; {name} falls in {falls} of {falls} episodes, once in "
+            f"{steps / falls:.3g} steps"
+        )
+    able = [walk for walk in walks if len(walk.values.get("speed", ())) and not walk.fell]
     if not able:
-        fallen = f", and {falls} of {len(walks)} ended with a fall" if falls else ""
         raise ValueError(
             "a score needs a whole stride, from a heel strike to the next one of the same foot, "
-            f"{LEAST_ADVANCE:g} m ahead or more; {name} has "
-            f"{sum(walk.steps for walk in walks)} heel strikes and no such stride{fallen}"
+            f"{LEAST_ADVANCE:g} m ahead or more; {name} has {steps} heel strikes and no such stride"
         )
     one = len(walks) == 1
     parts = ("curves", "values")
@@ -67,11 +70,10 @@ def measured(name: str, walks: Sequence[Strides]) -> Measured:
                 known = rows[np.isfinite(rows.reshape(len(rows), -1)).all(axis=1)]
                 if len(known):
                     found[part][key].append(known if one else known.mean(axis=0, keepdims=True))
-    joined = [{key: np.concatenate(rows) for key, rows in found[part].items()} for part in parts]
+    curves, values = ({key: np.concatenate(rows) for key, rows in found[part].items()} for part in parts)
     strides = sum(len(walk.values["speed"]) for walk in able)
-    steps = sum(walk.steps for walk in walks)
     over = "strides" if one else "episodes"
-    return Measured(name, *joined, len(walks), falls, strides, steps, over)
+    return Measured(name, curves, values, len(walks), falls, strides, steps, over)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -83,7 +83,8 @@ def findings(walk: Measured, found: Score, reference: Reference) -> list[tuple[s
         f"{name} {number(error)}" for name, error in sorted(found.groups.items(), key=lambda pair: -pair[1])
     )
     said = [(f"Score {number(found.total)}; 0 is {reference.name}. Mean errors: {groups}.", False)]
-    over = f"{walk.strides} strides of {walk.episodes} episode{'s' * (walk.episodes > 1)}"
+    upright = walk.episodes - walk.falls
+    over = f"{walk.strides} strides of {upright} episode{'s' * (upright > 1)} without a fall"
     few = "" if len(walk.values["speed"]) > 1 else "; one has no interval"
     said.append((f"{over}; intervals are over {walk.over}{few}.", False))
     if walk.falls:
@@ -152,7 +153,7 @@ def _draw(axes: Axes, name: str, walk: Measured, reference: Reference) -> None:
     for own in sides:
         on = reference.of(own, reference.active)
         if on is not None:
-            edge = {"transform": axes.get_xaxis_transform(), "color": "#888888", "linewidth": 0}
+            edge: Any = {"transform": axes.get_xaxis_transform(), "color": "#888888", "linewidth": 0}
             axes.fill_between(PERCENT, 0.0, 1.0, where=on, alpha=0.15, **edge)
         if own in walk.curves:
             rows = walk.curves[own]

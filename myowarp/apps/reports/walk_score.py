@@ -1,4 +1,4 @@
-"""How human walks are: every measure beside a reference, with a normalised error, the worst first.
+"""Scores of walks: every measure beside a reference, with a normalised error, the worst first.
 
     curve over the cycle: root mean square of (mean - reference) / (greatest - least of the reference)
     measure of a stride:  |mean - reference| / |reference|, margins / 0.1 m, asymmetries as they are
@@ -43,7 +43,7 @@ SCALES = {
     "step_length_asymmetry": 100.0,
     "step_time_asymmetry": 100.0,
 }
-"""What an error of 1 is, in the unit of the measure; of others it is the reference."""
+"""Sizes of an error of 1, in the unit of the measure; of others it is the reference."""
 
 
 def price_at(speed: float) -> float:
@@ -144,9 +144,8 @@ def _value_row(name: str, own: np.ndarray, reference: Reference, speed: float) -
         wanted = price_at(speed) / (speed if name == "cost_of_transport" else 1.0)
     interval = _known(jackknife(own, lambda some: float(some.mean())))
     value, group, unit = float(own.mean()), group_of(name), UNITS[name]
-    if wanted is None:
-        return Row(name, group, unit, value, interval)
-    scale = SCALES.get(name, abs(wanted))
+    if wanted is None or not (scale := SCALES.get(name, abs(wanted))):
+        return Row(name, group, unit, value, interval, wanted)
     error, spread = abs(value - wanted) / scale, None
     if interval is not None:  # of an absolute value: 0 where the reference is inside
         ends = sorted(abs(end - wanted) / scale for end in interval)
