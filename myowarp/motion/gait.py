@@ -18,7 +18,9 @@ from myowarp.motion.storage import read_storage
 CONTACT = 20.0
 """Vertical force above which a foot is on the ground [N]."""
 BOUNCE = 0.1
-"""Time that a foot is off the ground before a heel strike, and on it after one, at least [s]."""
+"""Time that a foot is off the ground before a heel strike, at least [s]."""
+BRUSH = 0.05
+"""Time on the ground below which a foot does not stand on it [s]; sprinters stand for 0.09 s."""
 SIDE = re.compile(r"_([lr])(?=_|$)")
 PERCENT = np.linspace(0.0, 100.0, 101)
 """Places in a gait cycle [%]."""
@@ -39,8 +41,8 @@ def mirrored(name: str) -> str:
 def contacts(time: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return when a foot comes to the ground and when it leaves it [s], on straight lines between the rows.
 
-    A contact goes on through what is shorter than `BOUNCE`, and a foot that only brushes the ground for so
-    long swings on. The begin or end of one that the recording does not see is infinite.
+    A contact goes on through gaps shorter than `BOUNCE`, and a foot that touches the ground for less than
+    `BRUSH` swings on. The begin or end of one that the recording does not see is infinite.
 
     Args:
         time: Increasing [s], shape (rows,).
@@ -54,7 +56,7 @@ def contacts(time: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarra
     begin, end = at[::2], at[1::2]
     apart = begin[1:] - end[:-1] >= BOUNCE
     begin, end = begin[np.append(True, apart)[: len(begin)]], end[np.append(apart, True)[: len(end)]]
-    stands = end - begin >= BOUNCE
+    stands = end - begin >= BRUSH
     return begin[stands], end[stands]
 
 

@@ -2,13 +2,14 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
 from striding import PEAK, striding
 
-from myowarp.apps.reports.intervals import jackknife, student
+from myowarp.apps.reports.intervals import jackknife, student, wilson
 from myowarp.apps.reports.walk_measures import (
     SHIPPED,
     as_reference,
@@ -19,7 +20,7 @@ from myowarp.apps.reports.walk_measures import (
 )
 from myowarp.apps.reports.walk_page import findings
 from myowarp.apps.reports.walk_score import GROUPS, SCALES, group_of, price_at, score, write_json
-from myowarp.apps.rollouts.walks import Legs, walks_of
+from myowarp.apps.rollouts.walks import Legs, Pushes, pushed, walks_of
 from myowarp.motion.gait import PERCENT
 from myowarp.motion.movement import write_angles
 from myowarp.motion.storage import Storage, write_storage
@@ -29,6 +30,7 @@ from myowarp.osim.body.skeleton import Bones
 from myowarp.osim.document.kinematics import complete, forward
 from myowarp.osim.document.read.model import read_model
 from myowarp.sim.simulation import Simulation
+from myowarp.sim.state import get_state
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -215,6 +217,25 @@ def test_forces_and_moments_are_what_moves_the_legs(sim):
         assert center[2] == pytest.approx(data.subtree_com[0, 2], abs=0.05)
 
 
+def test_pushes_come_at_a_beat_and_change_the_velocity_of_the_root(sim):
+    sim.reset()
+    pushes, seen = Pushes(sim, 0.3, every=0.1), []
+    for number in (9, 10, 11, 20):
+        before = get_state(sim).arrays["data.qvel"]
+        pushes.see(SimpleNamespace(number=number))
+        seen.append(get_state(sim).arrays["data.qvel"] - before)
+    for changed, size in zip(seen, (0.0, 0.3, 0.0, 0.3), strict=True):
+        np.testing.assert_allclose(np.linalg.norm(changed[:, :2], axis=1), size, atol=ROUNDING)
+        assert not changed[:, 2:].any()
+    found = pushed(sim, lambda obs: np.zeros((2, sim.action.shape[1]), np.float32), 0.3)
+    assert found.episodes == 2
+    assert found.seconds == pytest.approx(0.8) or found.falls
+    beside = score(walked(), as_reference(walked()), (1, 4))
+    row = next(row for row in beside.rows if "pushed" in row.name)
+    assert (row.error, row.error_interval) == (0.25, wilson(1, 4))
+    assert beside.total == score(walked(), as_reference(walked())).total
+
+
 def test_walks_are_those_of_the_simulation(sim):
     """The ground pushes as the mass centre accelerates; a fall ends a walk."""
     walks = walks_of(sim, lambda obs: np.zeros((2, sim.action.shape[1]), np.float32))
@@ -313,6 +334,8 @@ def test_the_command_refuses_in_a_sentence(run, tmp_path):
     for words, sentence in (
         (["myoElbowPose1D6MFixed-v0", "--policy", "zero"], "a walk needs both legs"),
         (["myoLegWalk-v0", "--loads", "a.xml"], "--loads belongs to a recorded trial"),
+        (["myoLegWalk-v0", "--push", "0"], "--push must be positive and finite, got 0"),
+        (["--trial", tmp_path, "--push", "0.3"], "a recorded trial cannot be pushed"),
         (["--trial", tmp_path], "needs --model FILE, or scaled.osim in it"),
         (["myoLegWalk-v0", "--reference", tmp_path / "none.json"], "none.json"),
         (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -44,6 +44,9 @@ class Score:
     trial: Annotated[Path | None, optional("FOLDER")] = None
     """In place of a policy: a folder with joint angles, and what else `myowarp motion` found; the model is
     --model or scaled.osim in it."""
+    push: Annotated[float | None, optional("M/S")] = None
+    """Walk once more with pushes, and count falls: every 2 s the body gets a velocity of so much in a random
+    level direction."""
     loads: Annotated[Path | None, optional("FILE")] = None
     """OpenSim file with the forces of the ground on both feet; by default grf.xml in the trial's folder."""
     reference: Annotated[Path | None, optional("PATH")] = None
@@ -66,6 +69,8 @@ class Score:
         if importlib.util.find_spec("matplotlib") is None:
             raise ImportError(f"score needs matplotlib, which is not installed; run {to_install('plot')}")
         check_least(1, num_worlds=self.num_worlds)
+        if self.push is not None and not 0.0 < self.push < float("inf"):
+            raise ValueError(f"--push must be positive and finite, got {self.push:g}")
         check_folder(self.output)
         check_overwrite([self.output / name for name in FILES], self.overwrite, "folder with --output")
         given = self.reference
@@ -74,7 +79,8 @@ class Score:
         else:
             reference = read_reference(given or SHIPPED)
         head, walk = self._walked() if self.trial is None else self._recorded(self.trial)
-        found = score(walk, reference)
+        pushed: dict[str, Any] | None = head.get("pushed")
+        found = score(walk, reference, pushed and (pushed["falls"], pushed["episodes"]))
         said = as_dict(walk, found, reference, head)
         make_folder(self.output)
         write_json(self.output / "score.json", said)
@@ -91,6 +97,8 @@ class Score:
     def _recorded(self, trial: Path) -> tuple[dict[str, Any], Measured]:
         """Return what was scored and what it is, of a trial."""
         model = self.asked.setup.task
+        if self.push is not None:
+            raise ValueError("--push is for policies; a recorded trial cannot be pushed")
         if model is not None and not isinstance(model, Path):
             raise ValueError(f"what is scored is a task or --trial, one of them; got {model!r} and {trial}")
         return {"trial": str(trial)}, _of_trial(trial, model, self.loads)
@@ -99,7 +107,7 @@ class Score:
         """Return what was scored and what it is, of a policy."""
         from myowarp.apps.policies.find import acting, find_policy
         from myowarp.apps.reports.walk_measures import measured
-        from myowarp.apps.rollouts.walks import walks_of
+        from myowarp.apps.rollouts.walks import pushed, walks_of
         from myowarp.motion.strides import strides_of
         from myowarp.sim.simulation import Simulation
         from myowarp.tasks.setups import complete
@@ -109,13 +117,16 @@ class Score:
         setup = complete(self.asked.setup)
         policy = find_policy(self.policy, setup.spec)
         sim = Simulation(setup, self.num_worlds, autoreset="same_step")
-        walks = walks_of(sim, acting(policy, sim), Console(stderr=True))
-        sim.close()
+        console = Console(stderr=True)
+        walks = walks_of(sim, acting(policy, sim), console)
         name = f"{self.policy} in {setup.spec.env_id}"
-        head = {"task": setup.spec.env_id, "policy": self.policy, "physics": setup.physics}
+        walk = measured(name, [strides_of(one, SETTLED) for one in walks.walks])
+        under = None if self.push is None else pushed(sim, acting(policy, sim), self.push, console)
+        sim.close()
+        head: dict[str, Any] = {"task": setup.spec.env_id, "policy": self.policy, "physics": setup.physics}
         head |= {"muscle": setup.muscles.model, "conditions": list(map(str, setup.conditions or ()))}
         head |= {"seed": setup.seed, "faults": walks.faults, "one_episode": walks.one_episode}
-        return head, measured(name, [strides_of(walk, SETTLED) for walk in walks.walks])
+        return head | ({} if under is None else {"pushed": asdict(under)}), walk
 
 
 def _of_trial(trial: Path, model: Path | None = None, loads: Path | None = None) -> Measured:

@@ -84,7 +84,10 @@ def findings(walk: Measured, found: Score, reference: Reference) -> list[tuple[s
     )
     said = [(f"Score {number(found.total)}; 0 is {reference.name}. Mean errors: {groups}.", False)]
     upright = walk.episodes - walk.falls
-    over = f"{walk.strides} strides of {upright} episode{'s' * (upright > 1)} without a fall"
+    strides, episodes = (
+        f"{n} {word}{'s' * (n > 1)}" for n, word in ((walk.strides, "stride"), (upright, "episode"))
+    )
+    over = f"{strides} of {episodes} without a fall"
     few = "" if len(walk.values["speed"]) > 1 else "; one has no interval"
     said.append((f"{over}; intervals are over {walk.over}{few}.", False))
     if walk.falls:

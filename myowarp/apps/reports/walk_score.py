@@ -63,7 +63,7 @@ class Row:
 
     Attributes:
         name: Of the measure, with its side.
-        group: Of `GROUPS`.
+        group: Of `GROUPS`, or "pushes", which does not count in the score.
         unit: Of `value` and `reference`.
         value: Mean; of a curve its range, of a muscle the share of the cycle in which it is on [%].
         interval: Of the mean of a measure of a stride.
@@ -99,14 +99,20 @@ class Score:
     total: float
 
 
-def score(walk: Measured, reference: Reference) -> Score:
-    """Return how far walks are from a reference."""
+def score(walk: Measured, reference: Reference, pushed: tuple[int, int] | None = None) -> Score:
+    """Return how far walks are from a reference.
+
+    Args:
+        walk: The walks.
+        reference: The reference.
+        pushed: Falls and episodes under pushes; None: there were none.
+    """
     speed = float(walk.values["speed"].mean())
     rows = [_curve_row(name, own, reference) for name, own in walk.curves.items()]
     rows += [_value_row(name, own, reference, speed) for name, own in walk.values.items() if name != "weight"]
-    share, (low, high) = walk.falls / walk.episodes, wilson(walk.falls, walk.episodes)
-    sure = (low, high) if walk.over == "episodes" else None
-    rows.append(Row("falls", "balance", "", share, sure, 0.0, share, sure))
+    rows.append(_falls_row("falls", "balance", walk.falls, walk.episodes))
+    if pushed is not None:
+        rows.append(_falls_row("falls_when_pushed", "pushes", *pushed))
     rows.sort(key=lambda row: math.inf if row.error is None else -row.error)
     errors = {group: [r.error for r in rows if r.group == group and r.error is not None] for group in GROUPS}
     groups = {group: float(np.mean(own)) for group, own in errors.items() if own}
@@ -116,6 +122,12 @@ def score(walk: Measured, reference: Reference) -> Score:
 def group_of(name: str) -> str:
     """Return the group of a measure."""
     return next(group for group, parts in GROUPS.items() if any(part in name for part in parts))
+
+
+def _falls_row(name: str, group: str, falls: int, episodes: int) -> Row:
+    """Return the row of falls, of which people have none."""
+    share, sure = falls / episodes, wilson(falls, episodes) if episodes > 1 else None
+    return Row(name, group, "", share, sure, 0.0, share, sure)
 
 
 def _curve_row(name: str, own: np.ndarray, reference: Reference) -> Row:

@@ -21,10 +21,14 @@ from myowarp.definitions.scene import Scene
 from myowarp.motion.gait import side_of
 from myowarp.motion.strides import JOINTS, SIDES, Walk, muscle_groups
 from myowarp.motion.trial_walk import flexion
+from myowarp.sim.economy import free_root
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
+from myowarp.sim.state import get_state, set_state
 
 RATE = "bhargava2004_per_kg"
+PUSHED_EVERY = 2.0
+"""From a push to the next one [s]."""
 CONTACTS = range(int(mujoco.mjtConstraint.mjCNSTR_CONTACT_FRICTIONLESS), 1 << 8)
 
 
@@ -90,6 +94,70 @@ def walks_of(sim: Simulation, act: Act, console: Console | None = None) -> Walks
     sound = np.flatnonzero(found["fault"] == 0)[: 1 if same else None]
     walks = tuple(legs.walk(seen.of(int(world)), bool(found["failed"][world])) for world in sound)
     return Walks(walks, same, int(np.count_nonzero(found["fault"])))
+
+
+class Pushes(Watcher):
+    """Pushes all worlds at a beat: the whole body gets a velocity more, in a random level direction."""
+
+    def __init__(self, sim: Simulation, size: float, every: float = PUSHED_EVERY) -> None:
+        """Find the root.
+
+        Args:
+            sim: The worlds.
+            size: Of the velocity [m/s].
+            every: From a push to the next one [s].
+
+        Raises:
+            ValueError: The body has no free root.
+        """
+        model, self._sim, self._size = sim.scene.oracle, sim, size
+        if (root := free_root(model)) < 0:
+            raise ValueError(f"a push needs a body with a free root; that of {sim.scene.spec.key!r} has none")
+        self._dof = int(model.jnt_dofadr[model.jnt_qposadr == root][0])
+        self._every = max(1, round(every / sim.scene.control_dt))
+        self._random = np.random.default_rng(sim.setup.seed)
+
+    def see(self, step: Step) -> None:
+        """Push where it is time."""
+        if step.number % self._every:
+            return
+        state = get_state(self._sim)
+        angle = self._random.uniform(0.0, 2.0 * np.pi, self._sim.num_worlds)
+        push = self._size * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        state.arrays["data.qvel"][:, self._dof : self._dof + 2] += push
+        set_state(self._sim, state)
+
+
+@dataclass(frozen=True)
+class Pushed:
+    """Episodes under pushes.
+
+    Attributes:
+        size: Of a push [m/s].
+        episodes: Number of them, without those that a fault ended.
+        falls: Those that ended with a fall.
+        seconds: Time of all of them together [s].
+    """
+
+    size: float
+    episodes: int
+    falls: int
+    seconds: float
+
+
+def pushed(sim: Simulation, act: Act, size: float, console: Console | None = None) -> Pushed:
+    """Let a policy walk for one episode in every world while it is pushed.
+
+    Raises:
+        ValueError: The body has no free root.
+    """
+    pushes, episodes = Pushes(sim, size), Episodes(sim.num_worlds)
+    with progress("Pushing", "steps", sim.horizon, console) as bar:
+        run(sim, act, sim.horizon, pushes, episodes, bar, until=lambda: bool(episodes.ended_once.all()))
+    found = episodes.first()
+    sound = found["fault"] == 0
+    time = float(found["length"][sound].sum() * sim.scene.control_dt)
+    return Pushed(size, int(sound.sum()), int(found["failed"][sound].sum()), time)
 
 
 class Legs:
