@@ -19,6 +19,8 @@ CONTACT = 20.0
 """Vertical force above which a foot is on the ground [N]."""
 BOUNCE = 0.1
 """Time that a foot is off the ground before a heel strike, at least [s]."""
+BRUSH = 0.05
+"""Time on the ground below which a foot does not stand on it [s]; sprinters stand for 0.09 s."""
 SIDE = re.compile(r"_([lr])(?=_|$)")
 PERCENT = np.linspace(0.0, 100.0, 101)
 """Places in a gait cycle [%]."""
@@ -36,19 +38,32 @@ def mirrored(name: str) -> str:
     return SIDE.sub("_r" if side == "l" else "_l", name) if side else name
 
 
-def heel_strikes(time: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """Return when a foot comes to the ground [s], on straight lines between the rows.
+def contacts(time: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return when a foot comes to the ground and when it leaves it [s], on straight lines between the rows.
+
+    A contact goes on through gaps shorter than `BOUNCE`, and a foot that touches the ground for less than
+    `BRUSH` swings on. The begin or end of one that the recording does not see is infinite.
 
     Args:
         time: Increasing [s], shape (rows,).
         force: Vertical force on the foot [N], shape (rows,).
     """
     on = force > CONTACT
-    rises, falls = np.flatnonzero(on[1:] & ~on[:-1]), np.flatnonzero(~on[1:] & on[:-1])
-    share = (CONTACT - force[rises]) / (force[rises + 1] - force[rises])
-    found = time[rises] + share * (time[rises + 1] - time[rises])
-    off = [time[falls[falls < rise]].max(initial=-np.inf) for rise in rises]
-    return found[found - np.array(off) >= BOUNCE]
+    turns = np.flatnonzero(on[1:] != on[:-1])
+    share = (CONTACT - force[turns]) / (force[turns + 1] - force[turns])
+    at = time[turns] + share * (time[turns + 1] - time[turns])
+    at = np.concatenate([[-np.inf] * bool(on[0]), at, [np.inf] * bool(on[-1])])
+    begin, end = at[::2], at[1::2]
+    apart = begin[1:] - end[:-1] >= BOUNCE
+    begin, end = begin[np.append(True, apart)[: len(begin)]], end[np.append(apart, True)[: len(end)]]
+    stands = end - begin >= BRUSH
+    return begin[stands], end[stands]
+
+
+def heel_strikes(time: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Return when a foot comes to the ground [s], see `contacts`."""
+    begin, _ = contacts(time, force)
+    return begin[np.isfinite(begin)]
 
 
 def gait_cycles(path: Path) -> dict[str, list[tuple[float, float]]]:
@@ -64,16 +79,32 @@ def gait_cycles(path: Path) -> dict[str, list[tuple[float, float]]]:
         ValueError: A file is not what it should be.
         OSError: A file cannot be read.
     """
+    forces = vertical_forces(path)
+    if forces is None:
+        return {}
+    time, up = forces
+    strikes = {side: heel_strikes(time, force).tolist() for side, force in up.items()}
+    return {s: list(pairwise(at)) for s, at in strikes.items() if len(at) > 1}
+
+
+def vertical_forces(path: Path) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
+    """Return times [s] and the vertical force on the bodies of each side [N], "l" or "r", (rows,) each.
+
+    Args:
+        path: As `gait_cycles` takes it; None is returned for a file that names no recording.
+
+    Raises:
+        As `gait_cycles`.
+    """
     columns, source = read_loads(path)
     if source is None:
-        return {}
+        return None
     table, force = read_storage(source), dict[str, np.ndarray]()
     for load in columns:
         if (side := side_of(load.body)[1]) and load.force and load.force_frame == "ground":
             up = load.at(table, table.time).force[:, 1]
             force[side] = force.get(side, np.zeros(len(table.time))) + up
-    strikes = {side: heel_strikes(table.time, up).tolist() for side, up in force.items()}
-    return {s: list(pairwise(at)) for s, at in strikes.items() if len(at) > 1}
+    return table.time, force
 
 
 def over_cycle(time: np.ndarray, values: np.ndarray, cycle: tuple[float, float]) -> np.ndarray:

@@ -19,6 +19,8 @@ from myowarp.osim.document.model import Model
 
 ANGLES = "Coordinates"
 """Name of a file of joint angles, in its header."""
+FOUND = ("tracked.mot", "ik.mot")
+"""Joint angles that a folder of `myowarp motion` may have, the first that is there is taken."""
 NO_MOTION = ("Speeds", "Accelerations", "PositionErrors")
 """Names of files of OpenSim's tools whose columns are named by coordinates and hold none."""
 
@@ -62,6 +64,20 @@ class Movement:
         """Return some frames, of which the first has a number in a motion of so many."""
         values, speeds, accelerations = (rows[frames] for rows in self.moved)
         return Movement(self.time[frames], values, speeds, accelerations, self.absent, first, total)
+
+
+def motion_in(path: Path) -> Path:
+    """Return the joint angles of a folder of `myowarp motion`, or the file that is given itself.
+
+    Raises:
+        ValueError: The folder has none.
+    """
+    if not path.is_dir():
+        return path
+    for name in FOUND:
+        if (path / name).is_file():
+            return path / name
+    raise ValueError(f"{str(path)!r} has neither of {', '.join(FOUND)}; give the file itself")
 
 
 def read_motion(path: Path, bones: Bones, cutoff: float | None = None) -> Movement:

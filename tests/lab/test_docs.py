@@ -85,6 +85,7 @@ SMALL = {
         **{"--gradient-steps": "2", "--selections": "0"},
     },
     "eval": {"--episodes": "2"},
+    "score": {"--num-worlds": "1"},
     "adapt": {"--episodes": "4"},
     "reproduce": {"--seeds": "1", "--num-worlds": "2"},
 }
@@ -93,6 +94,7 @@ MARKS = {
     "myowarp train myoHandReachFixed-v1 --output runs/filmed": "slow",  # films whole episodes
     "myowarp improve baselines": "slow",  # two starts of a key
     "myowarp train myoHandKeyTurnRandom-v0 --parent": "slow",  # from what that has found
+    "myowarp score": "slow",  # a whole episode of legs
     "myowarp export runs/filmed": "slow",  # what that has trained
     "myowarp baselines run": "slow",  # trains an elbow to the end
     "myowarp reproduce exo1": "slow",  # trains, and measures for minutes

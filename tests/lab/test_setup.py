@@ -31,6 +31,7 @@ ARGUMENTS = {
     "train": (ELBOW, "--output", "{folder}/run"),
     "improve": (f"baselines/{ELBOW}", "--output", "{folder}/improved"),
     "eval": (f"baselines/{ELBOW}",),
+    "score": (ELBOW, "--policy", "zero", "--output", "{folder}/score"),
     "reproduce": ("exo1", "--quick", "--output", "{folder}/exo1"),
 }
 """Least arguments of the commands that run a model."""

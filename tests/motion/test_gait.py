@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from myowarp.motion.gait import CONTACT, PERCENT, gait_cycles, heel_strikes, mirrored, over_cycle, side_of
+from myowarp.motion.gait import (
+    CONTACT,
+    PERCENT,
+    contacts,
+    gait_cycles,
+    heel_strikes,
+    mirrored,
+    over_cycle,
+    side_of,
+)
 from myowarp.motion.storage import Storage, write_storage
 
 PEAK, PERIOD = 800.0, 1.25  # N, s
@@ -34,6 +43,18 @@ def test_a_foot_that_bounces_strikes_once():
     time = np.arange(-0.3, 1.0, RATE)
     bouncing = np.where((time > 0.1) & (time < 0.13), 0.0, force(time))
     np.testing.assert_allclose(heel_strikes(time, bouncing), [strike(0)], atol=1e-6)
+
+
+def test_a_foot_that_brushes_the_ground_swings_on():
+    time = np.arange(-0.3, 2.0, RATE)
+    brushing = np.where((time > 0.85) & (time < 0.89), 100.0, force(time))
+    np.testing.assert_allclose(heel_strikes(time, brushing), [strike(0), strike(1)], atol=1e-6)
+    begin, end = contacts(time, brushing)
+    np.testing.assert_allclose(begin, [strike(0), strike(1)], atol=1e-6)
+    np.testing.assert_allclose(end[0], PERIOD / 2.0 - (strike(0)), atol=1e-6)
+    assert end[1] == pytest.approx(strike(1) + end[0] - begin[0], abs=1e-5)
+    standing = contacts(time[time < 0.4], force(time)[time < 0.4])
+    assert standing[1].tolist() == [np.inf]
 
 
 def test_cycles_are_those_of_each_foot(tmp_path):

@@ -34,6 +34,7 @@ from myowarp.apps.cli.plot import Plot
 from myowarp.apps.cli.record import Record
 from myowarp.apps.cli.reproduce import Reproduce
 from myowarp.apps.cli.rollout import Rollout
+from myowarp.apps.cli.score import Score
 from myowarp.apps.cli.sweep import Sweep
 from myowarp.apps.cli.tasks import Tasks
 from myowarp.apps.cli.train import Train
@@ -59,6 +60,7 @@ COMMANDS: dict[str, type[Callable[[], None]]] = {
     "train": Train,
     "improve": Improve,
     "eval": Eval,
+    "score": Score,
     "baselines": Baselines,
     "reproduce": Reproduce,
     "sweep": Sweep,

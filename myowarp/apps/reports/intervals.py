@@ -1,8 +1,9 @@
-"""95 % intervals: Student's or a bootstrap of a mean, Wilson's of a proportion, Newcombe's of two."""
+"""95 % intervals: Student's, a bootstrap's, the jackknife's, Wilson's of a proportion, Newcombe's of two."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -47,6 +48,25 @@ def mean_interval(values: ArrayLike, least: float = -math.inf, most: float = mat
         (values,), np.mean, confidence_level=CONFIDENCE, n_resamples=RESAMPLES, method="BCa", rng=0
     ).confidence_interval
     return float(found.low), float(found.high)
+
+
+def jackknife(values: ArrayLike, statistic: Callable[[np.ndarray], float]) -> tuple[float, float]:
+    """Return a 95 % interval of a statistic of independent values, NaN with fewer than two.
+
+    It is Student's interval of the mean of the pseudo-values n s - (n - 1) s_i, with s of all values and s_i
+    of all but one; of a mean it is that of the values. Source: Tukey 1958, Ann Math Stat 29:614.
+
+    Args:
+        values: Independent values, each a number or an array, shape (n, ...).
+        statistic: Function of some of them, (m, ...) to a number.
+    """
+    values = np.asarray(values, dtype=float)
+    n = len(values)
+    if n < 2:
+        return math.nan, math.nan
+    without = np.array([statistic(np.delete(values, i, axis=0)) for i in range(n)])
+    low, high = student(n * statistic(values) - (n - 1) * without)
+    return float(low), float(high)
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from myowarp.motion.gait import gait_cycles
 from myowarp.motion.loads import loads_at
-from myowarp.motion.movement import read_motion
+from myowarp.motion.movement import motion_in, read_motion
 from myowarp.motion.storage import Storage, read_storage
 from myowarp.osim.body.hill_muscle import HillMuscle
 from myowarp.osim.body.moment_arm import Poses, poses_of, stacked
@@ -39,8 +39,6 @@ TABLES = {
 }
 """Files of a folder of `myowarp motion`, by quantity: name and unit."""
 REACTIONS = "joint_reactions.sto"
-MOTIONS = ("tracked.mot", "ik.mot")
-"""Joint angles that such a folder may have, the first that is there is shown."""
 EMG = "emg.sto"
 MOST_FRAMES = 3000
 """Frames that are shown; of more some are left out."""
@@ -99,11 +97,7 @@ class Recorded:
             NotImplementedError: The model has something that is not supported.
             OSError: A file cannot be read.
         """
-        if motion.is_dir():
-            found = [motion / name for name in MOTIONS if (motion / name).is_file()]
-            if not found:
-                raise ValueError(f"{str(motion)!r} has neither of {', '.join(MOTIONS)}; give the file itself")
-            motion = found[0]
+        motion = motion_in(motion)
         bones = Bones.read(source, "cpu")
         moved, folder = read_motion(motion, bones), results or motion.parent
         kept = np.flatnonzero(_within(moved.time, folder))
