@@ -1,4 +1,4 @@
-"""Reflexes of two legs that walk: what eleven groups of muscles a leg are told by what the body senses.
+"""Reflexes of two legs that walk: what thirteen groups of muscles a leg are told by what the body senses.
 
 There is no rhythm: stance and swing follow from the contacts of the feet, and every group from modules that
 act in some phases. With [x] = max(x, 0), load and force in units of weight and of maximum isometric forces:
@@ -15,16 +15,18 @@ swing, and hands over with the load of the other.
 
 Sources: Geyer, Herr (2010), doi:10.1109/TNSRE.2010.2047592; Song, Geyer (2015), doi:10.1113/JP270228, in the
 form that MyoSuite 2.12.2 has: angles in place of muscle lengths, no module M4, and the rectus in M1. Where we
-differ from MyoSuite: its `BFSH_8_PG` takes the value of `BFSH_8_DG`.
+differ from MyoSuite: its `BFSH_8_PG` takes the value of `BFSH_8_DG`; and rotators of the hip resist its
+rotation, which their models of the leg do not have, or leave free.
 """
 
 import warp as wp
 
 real = wp.float64
 
-GROUPS = ("HAB", "HAD", "HFL", "GLU", "HAM", "RF", "VAS", "BFSH", "GAS", "SOL", "TA")
+GROUPS = ("HAB", "HAD", "HFL", "GLU", "HAM", "RF", "VAS", "BFSH", "GAS", "SOL", "TA", "HIR", "HER")
 """Groups of muscles in their order: hip abductors and adductors, hip flexors, glutei, hamstrings, rectus
-femoris, vasti, short head of the biceps, gastrocnemii, soleus and ankle dorsiflexors."""
+femoris, vasti, short head of the biceps, gastrocnemii, soleus, ankle dorsiflexors, internal and external
+rotators of the hip."""
 
 Stimulation = wp.types.vector(length=len(GROUPS), dtype=wp.float64)
 
@@ -83,6 +85,8 @@ class Reflexes:
         had_roll: M3, 1/rad.
         had_roll_rate: M3, s/rad.
         had_leg: M6, 1/rad.
+        rotation: Of the rotators, 1/rad.
+        rotation_rate: Of the rotators, s/rad.
     """
 
     pitch: wp.float64
@@ -131,6 +135,8 @@ class Reflexes:
     had_roll: wp.float64
     had_roll_rate: wp.float64
     had_leg: wp.float64
+    rotation: wp.float64
+    rotation_rate: wp.float64
 
 
 @wp.struct
@@ -151,6 +157,8 @@ class Senses:
         knee_rate: [rad/s].
         ankle: Angle [rad].
         spread: Angle of the leg in the frontal plane [rad].
+        rotation: Of the hip, inwards [rad].
+        rotation_rate: [rad/s].
         rf_force: Mean of the group [maximum isometric forces].
         vas_force: Likewise.
         gas_force: Likewise.
@@ -170,6 +178,8 @@ class Senses:
     knee_rate: wp.vec2d
     ankle: wp.vec2d
     spread: wp.vec2d
+    rotation: wp.vec2d
+    rotation_rate: wp.vec2d
     rf_force: wp.vec2d
     vas_force: wp.vec2d
     gas_force: wp.vec2d
@@ -308,6 +318,9 @@ def stimulate(leg: int, phase: Phase, r: Reflexes, s: Senses):
     u[8] = LEAST + stance * over(r.gas_force * s.gas_force[leg])
     u[9] = LEAST + sol_force
     u[10] = LEAST + over(r.ta_ankle * (s.ankle[leg] - r.ankle)) - stance * over(r.ta_sol * sol_force)
+    inwards = r.rotation * s.rotation[leg] + r.rotation_rate * s.rotation_rate[leg]
+    u[11] = over(-inwards)
+    u[12] = over(inwards)
     for group in range(wp.static(len(GROUPS))):
         u[group] = wp.clamp(u[group], LEAST, one)
     return u

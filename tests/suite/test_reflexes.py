@@ -38,13 +38,16 @@ def record():
     with np.load(RECORD) as file:
         arrays = dict(file)
     senses = np.zeros(arrays["pitch"].shape[:2], Senses.numpy_dtype())
+    arrays |= {"rotation": 0.2 * arrays["hip_rate"], "rotation_rate": 2.0 * arrays["knee_rate"]}
+    ours = np.ones((len(arrays["parameter"]), 2))  # parameters of the rotators, which MyoSuite lacks
+    arrays["parameter"] = np.concatenate([arrays["parameter"], ours], axis=1)
     for name in senses.dtype.names:
         senses[name] = arrays[name].reshape(senses[name].shape)
     return arrays, senses
 
 
 def told(values, senses, lag=(0, 0, 0)):
-    """Return the stimulation of senses (walks, steps) by parameters (walks, 46): (walks, steps, 2, 11)."""
+    """Return the stimulation of senses (walks, steps) by parameters (walks, 48): (walks, steps, 2, 13)."""
     (walks, steps), slots = senses.shape, max(lag) + 1
     rows = np.ascontiguousarray(values).view(Reflexes.numpy_dtype())[:, 0]
     with wp.ScopedDevice("cpu"):
@@ -71,8 +74,9 @@ def told(values, senses, lag=(0, 0, 0)):
 
 def test_stimulation_is_that_of_myosuite(record):
     arrays, senses = record
-    assert json.loads(str(arrays["meta"]))["groups"] == list(GROUPS)
-    found = told(unscaled(arrays["parameter"]), senses)
+    groups = json.loads(str(arrays["meta"]))["groups"]
+    assert groups == list(GROUPS[: len(groups)])
+    found = told(unscaled(arrays["parameter"]), senses)[..., : len(groups)]
     assert np.abs(found - arrays["stimulation"]).max() < 1e-12
     assert (arrays["stimulation"] > 0.02).any(axis=(0, 1, 2)).all()
 
@@ -104,6 +108,16 @@ def test_senses_arrive_later_by_their_delays(record):
 def test_delays_last_whole_control_steps():
     assert Delays().steps(0.01) == (0, 1, 2)
     assert Delays(0.03, 0.0, 0.029).steps(0.01) == (3, 0, 2)
+
+
+def test_rotators_resist_the_rotation_of_the_hip(record):
+    arrays, senses = record
+    values = unscaled(arrays["parameter"])
+    found = told(values, senses)[..., -2:]  # internal, external rotators
+    gains = values[:, None, None, -2:]
+    inwards = (gains * np.stack([senses["rotation"], senses["rotation_rate"]], axis=-1)).sum(axis=-1)
+    assert found[..., 0] == pytest.approx((-inwards).clip(0.01, 1.0))
+    assert found[..., 1] == pytest.approx(inwards.clip(0.01, 1.0))
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,8 @@ of its nerves, what the reflexes make of it, and an excitation for each group of
 control steps that are over within it; acting in control steps adds half of one on average. The load of a
 foot is what its contacts press with. Muscles of the leg that are in no group rest.
 
-Groups and scales of the parameters are those of MyoSuite 2.12.2, besides the tensor fasciae latae among the
-abductors, and toe flexors and extensors with the soleus and the dorsiflexors.
+Groups and scales of the parameters are those of MyoSuite 2.12.2, besides toe flexors and extensors with the
+soleus and the dorsiflexors, and rotators of the hip.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ FORMAT = 1
 SUFFIX = ".json"
 SIDES = "rl"
 MUSCLES = {
-    "HAB": "piri sart glmed1 glmed2 glmin1 glmin2 glmin3 tfl",
+    "HAB": "sart glmed1 glmed2 glmin2 glmin3",
     "HAD": "addbrev addlong addmagDist addmagIsch addmagMid addmagProx grac",
     "HFL": "psoas iliacus",
     "GLU": "glmax1 glmax2 glmax3 glmed3",
@@ -48,13 +48,15 @@ MUSCLES = {
     "GAS": "gaslat gasmed",
     "SOL": "soleus perbrev perlong tibpost fdl fhl",
     "TA": "tibant edl ehl",
+    "HIR": "tfl glmin1",
+    "HER": "piri",
 }
 """Muscles of each group, without their side."""
 
 FELT = ("RF", "VAS", "GAS", "SOL")  # groups whose forces are sensed
 NUM_FORCES = 2 * len(FELT)
 Forces = wp.types.vector(length=NUM_FORCES, dtype=wp.float64)
-JOINTS = ("hip_flexion", "hip_adduction", "knee_angle", "ankle_angle")
+JOINTS = ("hip_flexion", "hip_adduction", "knee_angle", "ankle_angle", "hip_rotation")
 FOOT = "talus"  # body that carries the foot
 GRAVITY = 9.81  # m/s^2
 PYRAMIDAL = wp.constant(int(mujoco.mjtCone.mjCONE_PYRAMIDAL))
@@ -85,12 +87,13 @@ SCALES = {
     "leg_spread_speed": (0.0, 10.0 * DEGREE),
     **{"hab_roll": (0.0, 10.0), "hab_roll_rate": (0.0, 1.0), "hab_leg": (0.0, 2.0)},
     **{"had_roll": (0.0, 2.0), "had_roll_rate": (0.0, 0.3), "had_leg": (0.0, 2.0)},
+    **{"rotation": (0.0, 1.0), "rotation_rate": (0.0, 0.1)},
 }
 """Value of a parameter that is scaled to 0, and what 1 adds, in the order of `Reflexes`."""
 
 
 def unscaled(scaled: np.ndarray) -> np.ndarray:
-    """Return values of parameters, whose order is that of `SCALES`, from scaled ones, shape (..., 46)."""
+    """Return values of parameters, whose order is that of `SCALES`, from scaled ones, shape (..., 48)."""
     zero, one = np.array(list(SCALES.values())).T
     return zero + one * np.asarray(scaled, dtype=float)
 
@@ -131,7 +134,7 @@ class Gait:
 
     @property
     def values(self) -> np.ndarray:
-        """Parameters in the order of `SCALES`, shape (46,)."""
+        """Parameters in the order of `SCALES`, shape (48,)."""
         return np.array([self.parameters[name] for name in SCALES])
 
     def save(self, path: Path) -> None:
@@ -146,7 +149,7 @@ class Gait:
 
 
 def gait_of(scaled: np.ndarray, delays: Delays, provenance: Mapping[str, Any]) -> Gait:
-    """Return a gait with scaled parameters, shape (46,)."""
+    """Return a gait with scaled parameters, shape (48,)."""
     return Gait(dict(zip(SCALES, unscaled(scaled).tolist(), strict=True)), delays, provenance)
 
 
@@ -254,6 +257,7 @@ def sense_legs(
     straight, right_angle = real(wp.pi), real(wp.half_pi)
     hip, hip_rate, spread, ankle = wp.vec2d(), wp.vec2d(), wp.vec2d(), wp.vec2d()
     knee, knee_rate, weight = wp.vec2d(), wp.vec2d(), wp.vec2d()
+    rotation, rotation_rate = wp.vec2d(), wp.vec2d()
     for leg in range(2):
         hip[leg] = straight - real(qpos_in[worldid, address[leg, 0]])
         hip_rate[leg] = -real(qvel_in[worldid, dof[leg, 0]])
@@ -261,6 +265,8 @@ def sense_legs(
         knee[leg] = straight - real(qpos_in[worldid, address[leg, 2]])
         knee_rate[leg] = -real(qvel_in[worldid, dof[leg, 2]])
         ankle[leg] = right_angle - real(qpos_in[worldid, address[leg, 3]])
+        rotation[leg] = real(qpos_in[worldid, address[leg, 4]])
+        rotation_rate[leg] = real(qvel_in[worldid, dof[leg, 4]])
         weight[leg] = real(load[worldid, leg])
     if step_count[worldid] == 0:  # contacts are still those of another episode
         for leg in range(2):
@@ -275,6 +281,8 @@ def sense_legs(
     s.ankle = ankle
     s.knee = knee
     s.knee_rate = knee_rate
+    s.rotation = rotation
+    s.rotation_rate = rotation_rate
     s.load = weight
     s.rf_force = wp.vec2d(forces[0], forces[4])
     s.vas_force = wp.vec2d(forces[1], forces[5])
@@ -326,7 +334,7 @@ class _Legs:
         self.lag = wp.vec3i(*lag)
 
     def stimulate(self, reflexes: wp.array) -> np.ndarray:
-        """Return what the groups of both legs are told now, shape (num_worlds, 2, 11)."""
+        """Return what the groups of both legs are told now, shape (num_worlds, 2, 13)."""
         shard, data = self.shard, self.shard.scene.data
         self.load.zero_()
         launch(
@@ -362,7 +370,7 @@ class ReflexControl:
         """Find senses and muscles.
 
         Args:
-            values: Parameters in the order of `SCALES`, shape (1 or num_worlds, 46).
+            values: Parameters in the order of `SCALES`, shape (1 or num_worlds, 48).
             delays: Of all worlds.
             sim: The simulation whose muscles are excited.
 
