@@ -1,4 +1,4 @@
-"""Reflexes of two legs that walk: what thirteen groups of muscles a leg are told by what the body senses.
+"""Reflexes of two legs that walk: the senses of the body excite thirteen groups of muscles a leg.
 
 There is no rhythm: stance and swing follow from the contacts of the feet, and every group from modules that
 act in some phases. With [x] = max(x, 0), load and force in units of weight and of maximum isometric forces:
@@ -141,7 +141,7 @@ class Reflexes:
 
 @wp.struct
 class Senses:
-    """What the body senses; pairs are those of the right and the left leg.
+    """Senses of a body; pairs are those of the right and the left leg.
 
     Attributes:
         pitch: Of the trunk ahead [rad].
@@ -188,7 +188,7 @@ class Senses:
 
 @wp.struct
 class Phase:
-    """Where in its step a leg is.
+    """Phase of a leg in its step.
 
     Attributes:
         planted: Its foot is on the ground.

@@ -276,9 +276,9 @@ def test_a_gait_file_comes_back_and_acts(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"format": 2}, "must be a gait that `myowarp gait` has written"),
+        ({"format": 2}, "must be a gait: JSON with format 1, 48 parameters and delays"),
         ({"delays": {"hip": -0.1, "knee": 0.0, "foot": 0.0}}, "delays of at least 0 s"),
-        ({"parameters": {"pitch": 1.0}}, "must be a gait that `myowarp gait` has written"),
+        ({"parameters": {"pitch": 1.0}}, "must be a gait: JSON with format 1, 48 parameters and delays"),
     ],
 )
 def test_what_is_no_gait_is_refused(tmp_path, change, message):

@@ -1,6 +1,6 @@
 """The policy of a gait file: reflexes that excite the muscles of two legs (`myowarp.laws.reflexes`).
 
-    myowarp gait myoLegWalk-v0 --output walk.json
+    gait_of(scaled, Delays(), {"source": "by hand"}).save(Path("walk.json"))
     myowarp rollout myoLegWalk-v0 --policy walk.json
 
 In every control step, for every world, on the device: what the body senses, as it arrives after the delays
@@ -173,7 +173,8 @@ def read_gait(path: Path) -> Gait:
             raise KeyError("parameters")
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(
-            f"policy {str(path)!r} must be a gait that `myowarp gait` has written ({error!r} is wrong)"
+            f"policy {str(path)!r} must be a gait: JSON with format {FORMAT}, {len(SCALES)} parameters and "
+            f"delays; got {error!r}"
         ) from None
     numbers = [*parameters.values(), *vars(delays).values()]
     if not np.isfinite(numbers).all() or min(vars(delays).values()) < 0.0:
