@@ -389,8 +389,8 @@ BAD_LATER = {
     "no such policy": (
         ["--policy", "best"],
         "policy 'best' unknown; available: random, zero, hold, muscle-control, baseline, baselines/<task>, "
-        "the folder of a trained policy, excitations (.sto, .mot, .csv), a model's own controllers (.osim), "
-        "package.module:function, file.py:function",
+        "the folder of a trained policy, excitations (.sto, .mot, .csv), a gait (.json), a model's own "
+        "controllers (.osim), package.module:function, file.py:function",
     ),
     "no such file": (["--policy", "none.py:act"], "file 'none.py' does not exist"),
     "no such module": (["--policy", "none:act"], "module 'none' does not exist; a file ends in .py"),

@@ -160,6 +160,7 @@ POLICIES = (
     " reach tasks: activations whose torques lead there), baseline (the trained policy of the package for"
     " the task, or for another version of it; `myowarp baselines list`), baselines/ID (that of another"
     " task), the folder of a trained policy, excitations over time (.sto, .mot, .csv; a column a muscle),"
+    " a gait of reflexes (.json),"
     " package.module:function or file.py:function: a function from observations (num_worlds, n) to"
     " actions (num_worlds, m) in [-1, 1]."
 )

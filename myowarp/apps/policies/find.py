@@ -16,6 +16,7 @@ from myowarp.apps.policies.checkpoint import Checkpoint
 from myowarp.apps.policies.hold import Hold, check_hold
 from myowarp.apps.policies.learned import Act, begins, bind, read_policy
 from myowarp.apps.policies.muscle_control import MuscleControl, check_muscle_control
+from myowarp.apps.policies.reflex import Gait, ReflexControl, is_gait, read_gait
 from myowarp.apps.policies.replay import Replay, is_replay
 from myowarp.definitions.task import TaskSpec
 from myowarp.models.bodies.from_file import OPENSIM
@@ -37,12 +38,14 @@ class Policy:
             built-in policies.
         checkpoint: What was trained; None for all others.
         excitations: Excitations over time; None for all others.
+        gait: Reflexes; None for all others.
     """
 
     name: str
     act: Callable[..., np.ndarray] | None = None
     checkpoint: Checkpoint | None = None
     excitations: Storage | None = None
+    gait: Gait | None = None
 
 
 class PolicyError(Exception):
@@ -54,7 +57,7 @@ def find_policy(name: str, spec: TaskSpec) -> Policy:
 
     Args:
         name: "random", "zero", "hold", "muscle-control", "baseline", "baselines/<task>", the folder of a
-            trained policy, a file of excitations, a model with controllers (each a file in
+            trained policy, a file of excitations, a gait, a model with controllers (each a file in
             `myowarp.apps.policies`),
             "package.module:function" or "file.py:function".
         spec: The task in which it is to act.
@@ -71,6 +74,8 @@ def find_policy(name: str, spec: TaskSpec) -> Policy:
         return Policy(name, checkpoint=read_policy(name, folder, spec))
     if is_replay(name):
         return Policy(name, excitations=read_storage(Path(name)))
+    if is_gait(name):
+        return Policy(name, gait=read_gait(Path(name)))
     if Path(name).suffix.lower() == OPENSIM:
         from myowarp.apps.policies.prescribed import prescribed  # reads models, which few policies are
 
@@ -80,7 +85,7 @@ def find_policy(name: str, spec: TaskSpec) -> Policy:
         raise ValueError(
             f"policy {name!r} unknown; available: {', '.join(BUILT_IN)}, baseline, "
             "baselines/<task>, the folder of a trained policy, excitations (.sto, .mot, .csv), "
-            "a model's own controllers (.osim), package.module:function, file.py:function"
+            "a gait (.json), a model's own controllers (.osim), package.module:function, file.py:function"
         )
     try:
         act = getattr(load(source), attribute, None)
@@ -103,6 +108,8 @@ def acting(policy: Policy, sim: Simulation) -> Act:
         return bind(policy.checkpoint, sim)
     if policy.excitations is not None:
         return Replay(policy.name, policy.excitations, sim)
+    if policy.gait is not None:
+        return ReflexControl(policy.gait.values[None], policy.gait.delays, sim)
     if act is not None:
         remembers = "begins" in _parameters(act)
 

@@ -1,0 +1,77 @@
+"""A search of reflexes: what a walk costs, and that a broken search goes on as if nothing had happened."""
+
+import json
+
+import numpy as np
+import pytest
+
+from myowarp.apps.policies.reflex import SCALES, Delays, read_gait, unscaled
+from myowarp.apps.studies import gait as study
+from myowarp.apps.studies.gait import Search, Trials, Walks, search
+from myowarp.definitions.setup import Setup
+
+TASK = "myoLegWalk-v0"
+SHORT = Setup(task=TASK, physics="fast", horizon=30, device="cpu", seed=0)
+
+
+def test_way_and_time_come_before_speed_and_effort():
+    time, speed = np.array([10.0, 10.0, 8.0, 10.0, 8.0]), np.array([1.2, 1.2, 1.2, 0.9, 0.3])
+    walks = Walks(time, speed, np.array([2.0, 4.0, 2.0, 2.0, 2.0]), np.zeros(5))
+    cost = walks.cost(1.2, 10.0)
+    assert (np.diff(cost) > 0.0).all()
+    assert cost[:2] == pytest.approx([2.0 / 1.2, 4.0 / 1.2])
+    share = 0.8 * (1.0 + 0.25) / 2.0
+    assert cost[4] == pytest.approx(100.0 * (1.0 - share) + share**2 * (75.0 + 2.0 / 1.2))
+
+
+def test_walks_are_measured_up_to_the_fall():
+    trials = Trials(SHORT, 4)
+    values = unscaled(np.tile(np.linspace(0.5, 2.0, 4)[:, None], (1, len(SCALES))))
+    walks = trials.walk(values, Delays())
+    assert (walks.time > 0.05).all()
+    assert (walks.time <= trials.duration + 1e-9).all()
+    assert 0.5 < walks.speed[0] < 2.0  # they start at 1.5 m/s
+    assert (walks.metabolic_rate > 0.0).all()
+    again = trials.walk(np.repeat(values[:1], 4, axis=0), Delays(), starts=4)
+    for name, value in vars(again).items():
+        assert value == pytest.approx(np.full(4, vars(walks)[name][0]))
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Let candidates cost what their parameters say, without a simulation."""
+
+    class Quick:
+        duration = 1.0
+
+        def __init__(self, setup, num_worlds):
+            self.tried = 0
+
+        def walk(self, values, delays, starts=1):
+            time = 1.0 / (1.0 + values.var(axis=1))
+            return Walks(time, np.full(len(time), 1.2), 0.0 * time, 0.0 * time)
+
+    monkeypatch.setattr(study, "Trials", Quick)
+
+
+def test_a_broken_search_goes_on(tmp_path, quick):
+    pytest.importorskip("cma")
+    plan = Search(SHORT, population=6)
+    console = study.Console(quiet=True)
+    whole = search(plan, tmp_path / "whole", 4, console)
+    search(plan, tmp_path / "broken", 1, console)
+    assert search(plan, tmp_path / "broken", 4, console) == whole
+    assert read_gait(tmp_path / "broken" / study.GAIT) == whole
+    costs = np.load(tmp_path / "whole" / study.SEARCH)["costs"]
+    assert costs.shape == (4, 6)
+    assert whole.provenance["cost"] == costs.min()
+    with pytest.raises(ValueError, match=r"holds a search of other settings \(speed is 1.2 there and 0.9"):
+        search(Search(SHORT, population=6, speed=0.9), tmp_path / "whole", 5, console)
+
+
+def test_a_search_begins_with_a_gait(tmp_path, quick):
+    pytest.importorskip("cma")
+    first = search(Search(SHORT, population=6), tmp_path / "first", 1, study.Console(quiet=True))
+    second = Search(SHORT, population=6, begin=first)
+    assert unscaled(second.middle) == pytest.approx(first.values)
+    assert json.loads(json.dumps(second.plain()))["middle"].keys() == SCALES.keys()
