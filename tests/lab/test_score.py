@@ -98,6 +98,12 @@ def test_intervals_are_over_episodes():
     np.testing.assert_allclose(row.interval, student(speeds), rtol=1e-6)
     np.testing.assert_allclose(row.error_interval, np.array(student(speeds)) - 1.0, atol=1e-6)
     np.testing.assert_allclose(jackknife(speeds, np.mean), student(speeds), rtol=1e-9)
+    spread = np.std([np.delete(speeds, i).max() for i in range(4)]) * np.sqrt(
+        3.0
+    )  # Miller 1974, (n - 1) / n sum
+    np.testing.assert_allclose(
+        jackknife(speeds, np.max), 1.5 + 3.182446 * spread * np.array((-1, 1)), rtol=1e-6
+    )
     near = score(walk, as_reference(walked(speed=1.3))).rows
     low, high = next(row.error_interval for row in near if row.name == "speed")
     assert low == 0.0

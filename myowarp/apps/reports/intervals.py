@@ -53,8 +53,9 @@ def mean_interval(values: ArrayLike, least: float = -math.inf, most: float = mat
 def jackknife(values: ArrayLike, statistic: Callable[[np.ndarray], float]) -> tuple[float, float]:
     """Return a 95 % interval of a statistic of independent values, NaN with fewer than two.
 
-    It is Student's interval of the mean of the pseudo-values n s - (n - 1) s_i, with s of all values and s_i
-    of all but one; of a mean it is that of the values. Source: Tukey 1958, Ann Math Stat 29:614.
+    The statistic s is in its middle. Its width is that of Student's interval of the pseudo-values
+    n s - (n - 1) s_i, with s_i of all values but one; of a mean it is that of the values. Source: Tukey 1958,
+    Ann Math Stat 29:614.
 
     Args:
         values: Independent values, each a number or an array, shape (n, ...).
@@ -65,8 +66,10 @@ def jackknife(values: ArrayLike, statistic: Callable[[np.ndarray], float]) -> tu
     if n < 2:
         return math.nan, math.nan
     without = np.array([statistic(np.delete(values, i, axis=0)) for i in range(n)])
-    low, high = student(n * statistic(values) - (n - 1) * without)
-    return float(low), float(high)
+    whole = statistic(values)
+    low, high = student(n * whole - (n - 1) * without)
+    half = 0.5 * float(high - low)
+    return whole - half, whole + half
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:
