@@ -182,12 +182,11 @@ def _summary_table(found: list[Baseline], published: dict[str, Any]) -> str:
         shares.append(_over_seeds(baseline, MODES[0], "success_last"))
         most = max(run["training"]["samples"] for run in baseline.runs) / 1e6
         minutes = max(run["training"]["training_cpu_seconds"] for run in baseline.runs) / 60.0
-        how = f"{baseline.checkpoint.manifest['algorithm']}, {most:.2f} M, {minutes:.{int(minutes < 10)}f} min"
+        took = f"{minutes:.{int(minutes < 10)}f} min"
+        how = f"{baseline.checkpoint.manifest['algorithm']}, {most:.2f} M, {took}"
         rows.append([f"`{task}`", str(len(baseline.runs)), *shares, how])
-    return (
-        markdown(["task", "seeds", *MODES, "deterministic, last step", "algorithm, samples, time of a core"], rows)
-        + "\n"
-    )
+    columns = ["task", "seeds", *MODES, "deterministic, last step", "algorithm, samples, time of a core"]
+    return markdown(columns, rows) + "\n"
 
 
 def _success_table(found: list[Baseline]) -> str:

@@ -88,17 +88,18 @@ class Chromium:
         self.click("button, [role=tab]", f"e.innerText.trim() === {json.dumps(label)}")
 
     def click(self, kind, which="true"):
-        """Click the first element of a kind of which a condition is true, where it is seen and has come to rest."""
+        """Click the first element of a kind of which a condition is true, where it is seen and at rest."""
         found = f"[...document.querySelectorAll('{kind}')].filter(e => e.offsetParent && {which})[0]"
         middle = "(b => [b.x + b.width / 2, b.y + b.height / 2])(e.getBoundingClientRect())"
         hit = f"(e => {{e.scrollIntoView({{block: 'nearest'}}); const [x, y] = {middle};"
         hit += f" return [x, y, e.contains(document.elementFromPoint(x, y))]}})({found})"
-        until, place = time.monotonic() + PATIENCE, None
-        while (before := place) != (place := self.run(hit)) or not place[2]:
+        until, before, place = time.monotonic() + PATIENCE, None, self.run(hit)
+        while place != before or not place[2]:
             assert time.monotonic() < until, f"{kind} with {which} is covered or moves: {place}"
             # A notice stays as long as the mouse is on it.
             self.call("Input.dispatchMouseEvent", type="mouseMoved", x=1, y=1)
             time.sleep(0.05)
+            before, place = place, self.run(hit)
         for event in ("mousePressed", "mouseReleased"):
             self.call(
                 "Input.dispatchMouseEvent", type=event, x=place[0], y=place[1], button="left", clickCount=1

@@ -63,7 +63,8 @@ def read_walk(trial: Path, model: Path | None = None, loads: Path | None = None)
     frames = forward(bones.model, complete(bones.model, values, len(motion.time)))
     bodies = bones.model.bodies.values()
     mass = sum(body.mass for body in bodies)
-    center = sum(body.mass * station(frames, body.name, body.mass_center) for body in bodies) / mass
+    first_moments = [body.mass * station(frames, body.name, body.mass_center) for body in bodies]
+    center = np.sum(first_moments, axis=0) / mass
     level = {side: frames[foot][1][:, [0, 2]] * (1.0, -1.0) for side, foot in feet.items()}
     curves: dict[str, np.ndarray] = {}
     moments = [_table(trial / name) for name in ("moments.sto", "passive_moments.sto")]

@@ -223,7 +223,8 @@ NUMBERS = "[...document.querySelectorAll('input.mantine-NumberInput-input')].fil
 def number_input(window, index, value):
     """Paste a value into the box of a slider, which is one control with it.
 
-    Another value goes first: viser 1.1.1 ignores the one that it sent last, though the server has set the box.
+    Another value goes first: viser 1.1.1 ignores the one that it sent last, though the server has set the
+    box since.
     """
     for text in (f"{value / 2:g}", f"{value:g}"):
         window.run(f"(e => {{e.focus(); e.select()}})({NUMBERS}[{index}])")
