@@ -64,6 +64,8 @@ def test_figures_are_those_of_a_loop_by_hand(result, which):
         expected = np.mean([solved[c + k, w] for w, c in enumerate(changed) if c + k < HORIZON])
         at = np.argmin(np.abs(result.seconds - k * dt))
         np.testing.assert_allclose(curve[at], expected, atol=1e-12)
+    steady = [np.mean([solved[c + k, w] for w, c in enumerate(changed)]) for k in range(-5, 0)]
+    np.testing.assert_allclose(found.before, np.mean(steady), atol=1e-12)  # of 0.1 s
     late = [k for k in range(HORIZON) if np.mean(changed + k < HORIZON) >= 0.5]
     falls = [np.mean([solved[c + k, w] for w, c in enumerate(changed) if c + k < HORIZON]) for k in late]
     np.testing.assert_allclose(found.drop, found.before - min(falls), atol=1e-12)

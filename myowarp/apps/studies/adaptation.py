@@ -4,7 +4,7 @@ All policies act in the same episodes: the same seeds draw the same targets, pat
 so that what one policy does in an episode stands beside what another does in it. With s(k) the share of the
 episodes that are solved k control steps after the change,
 
-    before    = mean of s over the last second before the change
+    before    = mean of s over the last tenth of a second before the change
     drop      = before - least of s after it
     recovery  = time from the least to where s has come back by half of the drop
     after     = share of the steps from the change to the end that are solved, a mean over episodes
@@ -46,7 +46,8 @@ if TYPE_CHECKING:
 
 RESULT = "adaptation.json"
 EPISODES = 1024
-BEFORE = 1.0  # s before the change over which success is taken
+SHOWN = 1.0  # s before the change from which on s is told
+BEFORE = 0.1  # s of it over which success is taken: earlier, episodes are on the way to their targets
 WIDTH, HEIGHT = 6.4, 3.6  # inches
 LEAST_SHARE = 0.5  # of the episodes that must last for s(k) to be counted
 RESAMPLES = 1999  # of the bootstrap
@@ -181,7 +182,7 @@ def study(
         )
     seen = [trail.of(counted) for trail in trails]
     dt, shares = setup.spec.control_dt, [_share_after(*own) for own in seen]
-    span = max(1, round(BEFORE / dt))
+    span = max(1, round(SHOWN / dt))
     steps = np.arange(-span, setup.episode_steps)
     counts = [_counts(steps, *own) for own in seen]
     curves, found = [_curve(*own) for own in counts], []
@@ -252,7 +253,8 @@ def _curve(solved: np.ndarray, lasts: np.ndarray, weight: np.ndarray | None = No
 
 def _fall(curve: np.ndarray, change: int, dt: float) -> tuple[float, float, float]:
     """Return success before the change, the drop and the time to half of it; the change is at an index."""
-    before = float(np.nanmean(curve[:change])) if np.isfinite(curve[:change]).any() else math.nan
+    last = curve[max(0, change - max(1, round(BEFORE / dt))) : change]
+    before = float(np.nanmean(last)) if np.isfinite(last).any() else math.nan
     after = curve[change:][np.isfinite(curve[change:])]
     least = int(np.argmin(after))
     drop = before - float(after[least])
