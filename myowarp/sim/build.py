@@ -76,6 +76,18 @@ def full_spec(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco.
     return body
 
 
+JOINT_SIZES = {mujoco.mjtJoint.mjJNT_FREE: (7, 6), mujoco.mjtJoint.mjJNT_BALL: (4, 3)}
+"""Numbers of a joint's position and velocity; others have one each."""
+
+
+def sizes_of(spec: TaskSpec) -> tuple[int, int, int, int]:
+    """Return nq, nv, na and nu of a task's model, which is not compiled for them."""
+    body = full_spec(spec)
+    positions, velocities = zip(*(JOINT_SIZES.get(joint.type, (1, 1)) for joint in body.joints), strict=True)
+    states = sum(actuator.dyntype != mujoco.mjtDyn.mjDYN_NONE for actuator in body.actuators)
+    return sum(positions), sum(velocities), states, len(body.actuators)
+
+
 @lru_cache(maxsize=1)
 def _slim_spec(
     spec: TaskSpec, conditions: tuple[Condition, ...], body: Body, exact: bool = False

@@ -52,14 +52,13 @@ class Tasks:
 
 def _rows(family: str | None) -> Iterable[dict[str, Any]]:
     """Return what is said of each task."""
-    from myowarp.sim.build import oracle_model
+    from myowarp.sim.build import sizes_of
 
     chosen = [TASKS[key] for key in TASKS if family in (None, TASKS[key].family)]
     sizes: dict[tuple[Any, ...], tuple[int, ...]] = {}
     for spec in track(chosen, "Building bodies", console=Console(stderr=True), transient=True):
         if spec.scene_key not in sizes:
-            model = oracle_model(spec)
-            sizes[spec.scene_key] = model.nq, model.nv, model.na, model.nu
+            sizes[spec.scene_key] = sizes_of(spec)
         nq, nv, na, nu = sizes[spec.scene_key]
         yield {
             "id": spec.env_id,
