@@ -149,7 +149,6 @@ def page() -> str:
         faults=faults,
         reachable=_reachable(found),
         met=met,
-        unmet=100.0 - met,
         machine=", ".join(f"{cores} cores ({name})" for name, cores in sorted(machines)),
         training=_training_table(found),
         published=_published_table(found, published),

@@ -23,6 +23,7 @@ HARD = {
     "myoHandKeyTurnRandom-v0": "key turn",
 }
 LEARNED = 95.0  # percent of the episodes
+ALIKE = 1e-5
 
 
 def success(task: str, actions: str = "deterministic", rule: str = MYOSUITE) -> list[float]:
@@ -75,6 +76,20 @@ def learning() -> dict[str, Any]:
     }
 
 
+def parity() -> dict[str, float]:
+    """Return how many of MyoSuite's ids are repeated to 1e-5, of how many, and the worst reward's error."""
+    found = [
+        {name: error for name, error in row.items() if name.startswith(("observation", "reward"))}
+        for row in read("parity")["worst"].values()
+    ]
+    rewards = (error for row in found for name, error in row.items() if name.startswith("reward"))
+    return {
+        "ids": len(found),
+        "alike": sum(max(row.values()) <= ALIKE for row in found),
+        "worst": max(rewards),
+    }
+
+
 def opensim() -> dict[str, float]:
     """Return how near OpenSim's gait2354 is [%, degrees], and the speed of its static optimisation."""
     muscles = read("opensim_muscles")["models"]["gait2354_simbody"]
@@ -98,7 +113,7 @@ def page() -> str:
     """Return README with the results made anew."""
     before, _, rest = README.read_text().partition(BEGIN)
     text = (TEXTS / "readme.md").read_text()
-    table = text.format(**speed(), **learning(), **opensim())
+    table = text.format(**speed(), **learning(), **opensim(), **parity())
     return f"{before}{BEGIN}\n{table}\n{END}{rest.partition(END)[2]}"
 
 

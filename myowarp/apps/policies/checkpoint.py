@@ -286,8 +286,10 @@ def find_folder(path: Path, *, learning: bool = False) -> Path:
         found = [f for f in folders if (f / MANIFEST).is_file() and not f.name.endswith(TEMPORARY)]
         if found:
             return max(found, key=lambda folder: folder.name)
+    absent = "" if path.is_dir() else ", and this one does not exist"
     raise CheckpointError(
-        f"{str(path)!r} holds no checkpoint; a run's folder has {FOLDER}/<samples>/{MANIFEST}"
+        f"{str(path)!r} holds no checkpoint; a run's folder has {FOLDER}/<samples>/{MANIFEST}{absent}; the "
+        "package's policies are baselines/ID"
     )
 
 
