@@ -210,6 +210,8 @@ def test_options_of_other_steps_are_refused(run, tmp_path, step, option):
         (f"train {ELBOW} --sampels 10", "train has no option --sampels; it has --samples"),
         ("view --num_world 3", "view has no option --num-world; it has --worlds"),
         (f"eval {ELBOW} --zzzz", "eval has no option --zzzz; myowarp eval --help lists its options"),
+        (f"eval {ELBOW} --video x.gif", "eval has no option --video; myowarp eval --help lists its options"),
+        (f"train {ELBOW} --policy x", "train has no option --policy; myowarp train --help lists its options"),
     ],
 )
 def test_an_unknown_option_names_the_nearest(run, typed, sentence):

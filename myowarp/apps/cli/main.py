@@ -73,6 +73,7 @@ VERSIONS = ("mujoco", "mujoco-warp", "warp-lang", "myo-sim")
 """Packages that numbers depend on, besides ours."""
 CONFIG = (tyro.conf.FlagCreatePairsOff,)
 LONG = re.compile("--[a-z]")
+ALIKE = 0.73  # of difflib: a slip of the fingers, and not another word
 OPTION = re.compile(r"^[│ ] (?:-\w(?: \w+)?, )?(--[a-z][a-z-]*)", re.MULTILINE)
 """An option, where tyro's help begins to explain it."""
 
@@ -116,7 +117,7 @@ def _unknown_option() -> str:
     for name, other in kinds.items() if beside else ():  # steps are about one motion, commands are not
         for known in _options(other):
             owners.setdefault(known, f"{beside} {name}")
-    if not (near := difflib.get_close_matches(option, owners, 1)):
+    if not (near := difflib.get_close_matches(option, owners, 1, ALIKE)):
         return f"{typed} has no option {option}; myowarp {typed} --help lists its options"
     owner = "it" if owners[near[0]] == typed else owners[near[0]]
     return f"{typed} has no option {option}; {owner} has {near[0]}"
