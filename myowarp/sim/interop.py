@@ -105,7 +105,8 @@ class ActionInput:
         finite = np.isfinite(host)
         if np.count_nonzero(finite) < finite.size:
             worlds = np.flatnonzero(~finite.all(axis=1)).tolist()
-            raise ValueError(f"actions must be finite, got NaN or infinity for worlds {worlds}")
+            first = f"{worlds[:5]}" + (f" and {len(worlds) - 5} more" if len(worlds) > 5 else "")
+            raise ValueError(f"actions must be finite, got NaN or infinity for worlds {first}")
         if host.dtype != np.float32:
             host = host.clip(-1.0, 1.0).astype(np.float32)  # which may not hold what is larger
         if self._host is None:

@@ -135,3 +135,5 @@ def test_what_does_not_fit_is_refused(adapter):
         ValueError, match=r"^the environment must be made with autoreset_mode='SameStep' and "
     ):
         adapter(env)
+    with pytest.raises(ValueError, match=r"^the environment must be a vector environment, of gymnasium"):
+        adapter(gym.make(ID))
