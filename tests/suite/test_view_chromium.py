@@ -389,6 +389,7 @@ def test_bones_of_a_film_to_turn_are_lit(tmp_path):
     write_playback(film, [[Take(model, tips, [seen, seen], [["0 s"], ["1 s"]])]], "activation", 2.0)
     with Chromium(SIZE) as window:
         window.open(film.as_uri())
+        until(lambda: window.run("document.readyState") == "complete")  # no picture while it navigates
         until(lambda: filled(pixels(window, tmp_path / "wait.png")).mean() > 0.02)
         assert lit(settled(window, PICTURES / "film.png")) > LIT
         assert window.run("document.title") == "elbow · MyoWarp"
