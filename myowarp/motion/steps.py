@@ -34,7 +34,7 @@ from myowarp.motion.results import (
     MuscleAnalysis,
     TrackedMotion,
 )
-from myowarp.motion.setup import EXPONENT, TrialSetup
+from myowarp.motion.setup import EXPONENT, POSES, TrialSetup
 from myowarp.motion.streams import Margin, is_long
 from myowarp.motion.tracking import track as simulate
 from myowarp.osim.body.hill_muscle import HillMuscle, known
@@ -74,6 +74,7 @@ def kinematics_in_parts(bones: Bones, setup: TrialSetup) -> Iterator[JointAngles
 
 
 def _angles(bones: Bones, setup: TrialSetup, whole: bool) -> Iterator[JointAngles]:
+    setup.check_tool(POSES)
     if sentence := open_loops(bones.model):
         warn_once(f"{bones.model.source.name}: {sentence}")
     if setup.orientations is not None:
@@ -114,7 +115,7 @@ def _held(bones: Bones, setup: TrialSetup) -> Movement | None:
     tasks, path = setup.tasks, setup.coordinates
     if tasks is None and setup.file is not None:
         raise ValueError(
-            f"{str(setup.file)!r} has no <IKMarkerTask>; a set-up file of inverse kinematics or scaling has"
+            f"{str(setup.file)!r} has no <IKMarkerTask>; a set-up file of inverse kinematics has"
         )
     if tasks is None or not tasks.recorded:
         return None
