@@ -83,7 +83,8 @@ class Residuals:
             return ""
         if not loaded:
             return f"no external loads: {self.share}, carry the weight"
-        return f"check sign, unit and bodies of the loads: they leave {self.share}"
+        left = f"more than {100.0 * SMALL:.0f} % of the weight is left at the root"
+        return f"check sign, unit and bodies of the loads: {left}"
 
 
 def astray(bones: Bones, needed: Needed, loads: Sequence[Load]) -> Iterator[str]:
