@@ -48,6 +48,7 @@ class Load:
         torque: [N m], shape (frames, 3).
         force_frame: Body in whose axes force and torque are given.
         point_frame: Body in which the point is given.
+        name: Of a recorded load; empty: it is the model's own.
     """
 
     body: str
@@ -56,6 +57,7 @@ class Load:
     torque: np.ndarray
     force_frame: str = "ground"
     point_frame: str = "ground"
+    name: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,7 +71,7 @@ class LoadColumns:
 
         force, point, torque = columns(self.force), columns(self.point), columns(self.torque)
         point_frame = self.point_frame if self.point else self.body
-        return Load(self.body, force, point, torque, self.force_frame, point_frame)
+        return Load(self.body, force, point, torque, self.force_frame, point_frame, self.name)
 
 
 def read_loads(path: Path) -> tuple[tuple[LoadColumns, ...], Path | None]:

@@ -84,7 +84,7 @@ def read_motion(path: Path, bones: Bones, cutoff: float | None = None) -> Moveme
     """Return the motion of a `.mot` or `.sto` file, smoothed and differentiated.
 
     Columns are named by coordinates, or as OpenSim's states, `/jointset/knee_r/knee_angle_r/value`. Others
-    are left alone. Coordinates that follow others do so, whatever the file says.
+    are named, and left alone. Coordinates that follow others do so, whatever the file says.
 
     Args:
         path: The file.
@@ -92,7 +92,8 @@ def read_motion(path: Path, bones: Bones, cutoff: float | None = None) -> Moveme
         cutoff: Frequency of the filter [Hz]; None: none.
 
     Raises:
-        ValueError: The file is none, has no coordinate of the model, or is too short.
+        ValueError: The file is none, has no coordinate of the model or a column called nearly like one, or is
+            too short.
         OSError: It cannot be read.
     """
     return _moved(Angles(path, bones.model), read_storage(path), bones, cutoff)
@@ -111,6 +112,8 @@ def _moved(angles: Angles, table: Storage, bones: Bones, cutoff: float | None) -
             f"{str(angles.path)!r} has no column of a coordinate; the model has "
             f"{', '.join(bones.coordinates)}"
         )
+    absent = tuple(name for name in bones.coordinates if name not in found)
+    angles.check_columns(table, absent)
     still = np.full(len(table.time), 1.0)
     defaults = (bones.model.coordinates[name].default for name in bones.coordinates)
     columns = {name: still * x for name, x in zip(bones.coordinates, defaults, strict=True)} | found
@@ -118,7 +121,7 @@ def _moved(angles: Angles, table: Storage, bones: Bones, cutoff: float | None) -
     return Movement(
         table.time,
         *derivatives(table.time, values, table.time, cutoff),
-        tuple(name for name in bones.coordinates if name not in found),
+        absent,
     )
 
 

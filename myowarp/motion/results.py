@@ -22,6 +22,7 @@ from myowarp.motion.joint_reactions import JointReactions
 from myowarp.motion.markers import Markers
 from myowarp.motion.movement import ANGLES, Movement, angles_table
 from myowarp.motion.muscle_forces import MuscleForces
+from myowarp.motion.residuals import Residuals
 from myowarp.motion.storage import Storage, Tables
 from myowarp.motion.tracking import Tracked
 from myowarp.osim.body.model_forces import acts, left_out
@@ -200,15 +201,20 @@ class JointMoments(AlongMotion):
 
     Attributes:
         needed: The moments, and what the model's own springs and contacts do.
-        held: What stands for the weight where no load does, "" for nothing.
+        doubt: What is likely wrong with the loads, or stands for them; "": nothing.
     """
 
     needed: Needed
-    held: str
+    doubt: str
+
+    @property
+    def residuals(self) -> Residuals:
+        """What motion and loads disagree by."""
+        return Residuals.of(self.bones, self.motion.time, self.needed.joint_moment)
 
     def rows(self) -> Iterator[Row]:
         """Yield its tables."""
-        title = f"joint moments, N m and N{self.held and f'; {self.held}'}"
+        title = f"joint moments, N m and N{self.doubt and f'; {self.doubt}'}"
         yield self._along("moments", title, self.needed.joint_moment)
         yield from self._beside(self.needed)
 
@@ -266,6 +272,11 @@ class MotionForces(AlongMotion):
     actuators: Actuators | None
     reactions: JointReactions
 
+    @property
+    def residuals(self) -> Residuals:
+        """What muscles leave over at roots."""
+        return Residuals.of(self.bones, self.motion.time, self.solved.reserve + self.solved.missing)
+
     def rows(self) -> Iterator[Row]:
         """Yield its tables, those of the moments first."""
         yield from self.moments.rows()
@@ -302,6 +313,11 @@ class TrackedMotion(AlongMotion):
     """
 
     tracked: Tracked
+
+    @property
+    def residuals(self) -> Residuals:
+        """What reserves and motors give at roots."""
+        return Residuals.of(self.bones, self.tracked.time, self.tracked.reserve[:, 0])
 
     def put(self, tables: Tables) -> None:
         """Write `tracked.mot`, and its tables."""

@@ -5,7 +5,7 @@ What a user states comes before what a set-up file of one of OpenSim's tools say
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 
 EXPONENT = 2.0
 """Of activations in the cost, by default."""
+POSES = "InverseKinematicsTool", "IMUInverseKinematicsTool", "IKTaskSet"
+"""Tools, and sets of tasks, whose set-up files kinematics takes."""
+MOTIONS = "InverseDynamicsTool", "AnalyzeTool", "CMCTool"
+"""Tools whose set-up files every step along a motion takes."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,7 @@ class TrialSetup:
 
     Attributes:
         file: The set-up file.
+        tool: Element that it holds: the name of OpenSim's tool, or of its set of tasks; empty: no file.
         markers: Recorded markers, .trc.
         motion: Joint angles.
         loads: External loads.
@@ -57,6 +62,7 @@ class TrialSetup:
     """
 
     file: Path | None = None
+    tool: str = ""
     markers: Path | None = None
     motion: Path | None = None
     loads: Path | None = None
@@ -92,6 +98,18 @@ class TrialSetup:
             if value is not None and not least <= value < float("inf"):
                 raise ValueError(f"--{name} must be at least {least:g} and finite, got {value:g}")
 
+    def check_tool(self, tools: Sequence[str]) -> None:
+        """Check that a set-up file is one that a step takes.
+
+        Raises:
+            ValueError: It is another tool's, whose times, filter and weights are not meant for the step.
+        """
+        if self.tool and self.tool not in tools:
+            raise ValueError(
+                f"{str(self.file)!r} is a set-up file of OpenSim's {self.tool}; this step takes those of "
+                f"{', '.join(tools)}; give one of these, or options in place of --setup"
+            )
+
     @property
     def recording(self) -> Path:
         """The file of recorded markers.
@@ -108,8 +126,9 @@ class TrialSetup:
         """The file of joint angles.
 
         Raises:
-            ValueError: There is none.
+            ValueError: There is none, or the set-up file is not of a tool that has a motion.
         """
+        self.check_tool(MOTIONS)
         if self.motion is None:
             raise ValueError("this step needs joint angles; give a .mot or .sto file with --motion FILE")
         return self.motion

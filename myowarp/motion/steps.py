@@ -7,7 +7,7 @@ a part of it from `moved_in_parts` where the motion is too long for memory.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -26,6 +26,7 @@ from myowarp.motion.movement import Movement, read_motion, read_parts
 from myowarp.motion.muscle_forces import MuscleForces, muscle_forces, rigid_capacity
 from myowarp.motion.orientation_kinematics import orientation_kinematics
 from myowarp.motion.orientations import axes_of_sensors, read_orientations
+from myowarp.motion.residuals import Residuals, astray
 from myowarp.motion.results import (
     Gaps,
     JointAngles,
@@ -34,18 +35,14 @@ from myowarp.motion.results import (
     MuscleAnalysis,
     TrackedMotion,
 )
-from myowarp.motion.setup import EXPONENT, TrialSetup
+from myowarp.motion.setup import EXPONENT, POSES, TrialSetup
 from myowarp.motion.streams import Margin, is_long
 from myowarp.motion.tracking import track as simulate
 from myowarp.osim.body.hill_muscle import HillMuscle, known
 from myowarp.osim.body.model_forces import open_loops
 from myowarp.osim.body.muscle_paths import MusclePaths, muscle_paths
 from myowarp.osim.body.skeleton import Bones
-from myowarp.osim.document.kinematics import floating
 from myowarp.process import warn_once
-
-HELD = 0.05
-"""Share of the weight that a root may give without external loads, unsaid."""
 
 logger = logging.getLogger("myowarp")
 
@@ -74,6 +71,7 @@ def kinematics_in_parts(bones: Bones, setup: TrialSetup) -> Iterator[JointAngles
 
 
 def _angles(bones: Bones, setup: TrialSetup, whole: bool) -> Iterator[JointAngles]:
+    setup.check_tool(POSES)
     if sentence := open_loops(bones.model):
         warn_once(f"{bones.model.source.name}: {sentence}")
     if setup.orientations is not None:
@@ -114,7 +112,7 @@ def _held(bones: Bones, setup: TrialSetup) -> Movement | None:
     tasks, path = setup.tasks, setup.coordinates
     if tasks is None and setup.file is not None:
         raise ValueError(
-            f"{str(setup.file)!r} has no <IKMarkerTask>; a set-up file of inverse kinematics or scaling has"
+            f"{str(setup.file)!r} has no <IKMarkerTask>; a set-up file of inverse kinematics has"
         )
     if tasks is None or not tasks.recorded:
         return None
@@ -221,35 +219,24 @@ def dynamics(bones: Bones, setup: TrialSetup, part: Loaded | None = None) -> Joi
     motion = part or moved(bones, setup)
     loads = motion.loads(motion.time)
     needed = inverse_dynamics(bones, *motion.moved, loads)
-    held = "" if loads else held_up(bones, motion.time, needed.joint_moment)
-    if held and not motion.first:
-        logger.warning("%s", held)
-    return JointMoments(bones, motion, needed, held)
+    return JointMoments(bones, motion, needed, doubted(bones, motion, needed, loads))
 
 
-def held_up(bones: Bones, time: np.ndarray, moment: np.ndarray) -> str:
-    """Return what stands for the weight at a root without external loads; "": less than `HELD` of it.
+def doubted(bones: Bones, motion: Loaded, needed: Needed, loads: Sequence[Load]) -> str:
+    """Return what is likely wrong with the loads of a motion, and say it once; "": nothing is.
 
     Args:
         bones: The model.
-        time: [s], shape (frames,).
-        moment: What the motion takes along independent coordinates [N m] or [N], shape (frames, coordinates).
+        motion: The motion, or a part of it.
+        needed: What it takes.
+        loads: At its times.
     """
-    model = bones.model
-    weight = sum(body.mass for body in model.bodies.values()) * float(np.linalg.norm(model.gravity))
-    slides = [name for name in floating(model) if not model.coordinates[name].rotational]
-    roots = list(dict.fromkeys(model.coordinates[name].joint for name in slides))
-    forces = [
-        np.linalg.norm(moment[:, [bones.coordinates.index(name) for name in slides
-                                  if model.coordinates[name].joint == root]], axis=1)
-        for root in roots
-    ]  # fmt: skip
-    if not roots or not np.max(forces) > HELD * weight:
-        return ""
-    root, frame = np.unravel_index(int(np.argmax(forces)), np.shape(forces))
-    body = model.joints[roots[int(root)]].child
-    worst = f"{np.max(forces):.0f} N at the {body}, at {time[frame]:.4g} s"
-    return f"no external loads: {worst}, carry the weight"
+    doubt = Residuals.of(bones, motion.time, needed.joint_moment).doubt(bool(loads))
+    said = [*filter(None, [doubt]), *astray(bones, needed, loads)]
+    if not motion.first:
+        for sentence in said:
+            logger.warning("%s", sentence)
+    return "; ".join(said)
 
 
 def analyze(bones: Bones, setup: TrialSetup, part: Loaded | None = None) -> MuscleAnalysis:
@@ -353,10 +340,8 @@ def track(
     names = [name for name, muscle in bones.model.muscles.items() if muscle.applies_force]
     if unknown := set(setup.strength) - set(names):
         raise ValueError(f"muscle {sorted(unknown)[0]!r} unknown; available: {', '.join(names)}")
-    if setup.loads is None:
-        needed = inverse_dynamics(bones, *motion.moved)
-        if sentence := held_up(bones, motion.time, needed.joint_moment):
-            logger.warning("%s", sentence)
+    loads = motion.loads(motion.time)
+    doubted(bones, motion, inverse_dynamics(bones, *motion.moved, loads), loads)
     strength = np.array([setup.strength.get(name, 1.0) for name in names])
     if not ((strength >= 0.0) & np.isfinite(strength)).all():
         raise ValueError("the strength of a muscle must be at least 0 and finite")

@@ -25,7 +25,7 @@ TOOLS = {
     "CMCTool": (0.0, 1.0),
 }
 """Times of each where its set-up file states none [s]; that OpenSim 4.6 ends kinematics at 2 s is a slip."""
-MOTIONS = ("coordinates_file", "desired_kinematics_file", "states_file")
+ANGLES = ("coordinates_file", "desired_kinematics_file", "states_file")
 CUTOFFS = ("lowpass_cutoff_frequency_for_coordinates", "lowpass_cutoff_frequency")
 
 
@@ -38,8 +38,13 @@ def read_tool_setup(path: Path) -> TrialSetup:
     """
     root, _ = parse(path)
     tool = next((element for element in root.walk() if element.tag in TOOLS), None)
+    other = next((element.tag for element in root.walk() if element.tag.endswith("Tool")), "")
+    if tool is None and other:
+        raise root.error(
+            f"is a set-up file of OpenSim's {other}; this step takes those of {', '.join(TOOLS)}"
+        )
     if tool is None and any(element.tag == "IKTaskSet" for element in root.walk()):
-        return TrialSetup(path, tasks=tasks_of(root), sources=(path,))
+        return TrialSetup(path, "IKTaskSet", tasks=tasks_of(root), sources=(path,))
     if tool is None:
         raise root.error(f"holds none of {', '.join(f'<{name}>' for name in TOOLS)}")
     cutoff = max(tool.number(tag, default=-1.0) for tag in CUTOFFS)
@@ -55,8 +60,9 @@ def read_tool_setup(path: Path) -> TrialSetup:
                 unread.append(f"{actuator.tag} {actuator.name}")
     return TrialSetup(
         file=path,
+        tool=tool.tag,
         markers=file_of(tool, "marker_file"),
-        motion=file_of(tool, *MOTIONS),
+        motion=file_of(tool, *ANGLES),
         loads=file_of(tool, "external_loads_file"),
         orientations=file_of(tool, "orientations_file"),
         sensor_angles=angles_in(tool),

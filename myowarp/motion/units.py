@@ -1,13 +1,14 @@
-"""Angles of a recording, in radians: what its header says of their unit, and whether that can be.
+"""Coordinates of a recording: which columns they are, and whether their units and times can be.
 
-OpenSim's rule gives the unit (see `storage`). It is not enough where the header says nothing, says something
-else in its words, or is wrong: a knee at 60 rad, or a walk within 1.2 degrees. Both readings are said then;
-the file is refused where its header does not decide.
+OpenSim's rule gives the unit of angles (see `storage`). It is not enough where the header says nothing, says
+something else in its words, or is wrong: a knee at 60 rad, or a walk within 1.2 degrees. Both readings are
+said then; the file is refused where its header does not decide.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,12 @@ STILL = 0.1
 """[rad] within which a whole recording in degrees is doubted, where it would be a pose in radians."""
 POSED = np.radians(20.0)
 """[rad] that such a pose has somewhere."""
+ALIKE = 0.8
+"""Share of two names from which one may be the other, misspelt (difflib's ratio)."""
+SLOW, LASTING = 5.0, 60.0
+"""Rate [Hz] below which, and length [s] beyond which times are hardly seconds."""
+SHOWN = 5
+"""Columns that are named."""
 
 
 def coordinate_of(label: str) -> str:
@@ -45,7 +52,7 @@ class Angles:
             path: The recording.
             model: Whose coordinates they are.
         """
-        self.path, self._model, self._told = path, model, False
+        self.path, self._model, self._told = path, model, set[str]()
 
     def of(self, table: Storage, coordinates: Iterable[str]) -> dict[str, np.ndarray]:
         """Return those of some coordinates that a table of the recording has [rad] or [m].
@@ -64,6 +71,41 @@ class Angles:
         if turning and len(table.time):
             self._check(table, turning)
         return columns | ({name: np.radians(x) for name, x in turning.items()} if table.in_degrees else {})
+
+    def check_columns(self, table: Storage, absent: Iterable[str]) -> None:
+        """Name the columns of a table that no coordinate reads, and doubt times that are hardly seconds.
+
+        Args:
+            table: Of the recording.
+            absent: Coordinates that are wanted, and that it has not.
+
+        Raises:
+            ValueError: Such a column is called nearly like one of them.
+        """
+        known = {name.lower(): name for name in self._model.coordinates}
+        states = {label for label in table.labels if "/" in label and not label.endswith("/value")}
+        columns = (coordinate_of(label) for label in table.labels if label not in states)
+        unread = [column for column in columns if column not in self._model.coordinates]
+        for column in unread:
+            for near in get_close_matches(column.lower(), known, 1, ALIKE):
+                if (name := known[near]) in absent:
+                    raise ValueError(
+                        f"{str(self.path)!r} has no {name!r}, and a column {column!r}, which the model does "
+                        f"not know; rename the column if it is {name!r}, or remove it, and {name!r} stands "
+                        "at its default"
+                    )
+        if unread:
+            more = f" and {len(unread) - SHOWN} more" if len(unread) > SHOWN else ""
+            self._say("columns", f"no coordinate of the model reads these columns of {str(self.path)!r}: "
+                      f"{', '.join(unread[:SHOWN])}{more}")  # fmt: skip
+        lasts = float(table.time[-1] - table.time[0])
+        rate = (len(table.time) - 1) / max(lasts, 1e-9)
+        if lasts > LASTING and rate < SLOW:
+            self._say(
+                "time",
+                f"the motion of {str(self.path)!r} lasts {lasts:.4g} s at {rate:.2g} Hz; is its time in ms, "
+                "or in percent?",
+            )
 
     def _check(self, table: Storage, turning: dict[str, np.ndarray]) -> None:
         """Ask whether angles, as they stand in the file, can have the unit that it is read in."""
@@ -94,13 +136,21 @@ class Angles:
                 raise ValueError(
                     f"{text}; a .mot or .sto file says which by a line inDegrees=yes or inDegrees=no"
                 )
-            self._say(f"{text}; the file is read in {unit}, as its header says")
+            if not table.in_degrees:
+                raise ValueError(
+                    f"{text}; its header says inDegrees=no, so correct it to inDegrees=yes, or write true "
+                    "turns in degrees"
+                )
+            self._say("unit", f"{text}; the file is read in {unit}, as its header says")
         elif table.in_degrees and self._still(most):
             size = max(map(abs, most.values()))
             self._say(
+                "unit",
                 f"all angles of {path!r} are within {size:.3g} degrees; if they are radians, up to "
-                f"{np.degrees(size):.3g} degrees, its header must say version=1 and inDegrees=no"
+                f"{np.degrees(size):.3g} degrees, its header must say version=1 and inDegrees=no",
             )
+        elif not table.unit and not table.in_degrees:
+            self._say("unit", f"{path!r} is read in radians: its header does not say inDegrees")
 
     def _still(self, most: dict[str, float]) -> bool:
         """Whether angles hardly leave 0 in degrees, and are a pose within all ranges in radians."""
@@ -114,8 +164,8 @@ class Angles:
         low, high = self._model.coordinates[name].range
         return bool(low - slack <= angle <= high + slack)
 
-    def _say(self, text: str) -> None:
-        """Say it, unless something was said of the recording before."""
-        if not self._told:
+    def _say(self, what: str, text: str) -> None:
+        """Say it, unless something was said of this side of the recording before."""
+        if what not in self._told:
             logger.warning("%s", text)
-        self._told = True
+        self._told.add(what)

@@ -5,6 +5,7 @@ The tables are from `tests/data/record_opensim_beside.py` and `record_opensim_fo
 
 import json
 import logging
+import re
 from pathlib import Path
 
 import numpy as np
@@ -20,15 +21,17 @@ from myowarp.motion.joint_reactions import joint_reactions
 from myowarp.motion.loads import prescribed_loads
 from myowarp.motion.movement import write_angles
 from myowarp.motion.muscle_forces import muscle_forces
+from myowarp.motion.residuals import Residuals
 from myowarp.motion.setup import TrialSetup
 from myowarp.motion.smooth import derivatives
-from myowarp.motion.steps import dynamics, held_up
-from myowarp.motion.storage import read_storage
+from myowarp.motion.steps import dynamics
+from myowarp.motion.storage import Storage, read_storage, write_storage
 from myowarp.motion.tracking import equations, track
 from myowarp.osim.body.model_forces import left_out, without
 from myowarp.osim.body.muscle_paths import muscle_paths
 from myowarp.osim.body.skeleton import Bones
 from myowarp.osim.document.contacts import resting
+from myowarp.osim.document.kinematics import complete, forward
 from myowarp.osim.document.read.model import read_model
 from myowarp.process import warn_once
 
@@ -366,10 +369,46 @@ def test_a_motion_without_loads_says_what_carries_the_weight(tmp_path, caplog):
     most = mass * (np.linalg.norm(bones.model.gravity) + 0.02 * (4.0 * np.pi) ** 2)
     force = np.abs(found.joint_moment[:, up])
     np.testing.assert_allclose(force.max(), most, rtol=0.02)
-    worst = f"{force.max():.0f} N at the pelvis, at {time[force.argmax()]:.4g} s"
+    share = 100.0 * most / (mass * np.linalg.norm(bones.model.gravity))
+    worst = f"{force.max():.0f} N ({share:.0f} % of the weight) at pelvis_ty, at {time[force.argmax()]:.4g} s"
     sentence = f"no external loads: {worst}, carry the weight"
     assert [record.getMessage() for record in caplog.records] == [sentence]
     assert title(tmp_path / "moments.sto") == f"joint moments, N m and N; {sentence}"
-    assert held_up(bones, time, 0.03 * found.joint_moment) == ""
-    still = arm(tmp_path, "")
-    assert held_up(still, TIME, np.full(VALUES.shape, 1e3)) == ""
+    assert Residuals.of(bones, time, 0.03 * found.joint_moment).doubt(loaded=False) == ""
+    still = Residuals.of(arm(tmp_path, ""), TIME, np.full(VALUES.shape, 1e3))
+    assert (still.doubt(loaded=False), still.lines()) == ("", [])
+
+
+LOADS = """<ExternalLoads name="l"><objects><ExternalForce name="ground"><applied_to_body>calcn_r
+</applied_to_body><force_identifier>f</force_identifier><point_identifier>p</point_identifier></ExternalForce>
+</objects><datafile>push.mot</datafile></ExternalLoads>"""
+
+
+@pytest.mark.parametrize(("factor", "share"), [(1.0, 0), (0.97, 3), (-1.0, 200), (1e-3, 100)])
+@pytest.mark.parametrize("off", [0.2, 0.9])
+def test_what_loads_leave_at_the_root_is_said(tmp_path, caplog, capsys, factor, share, off):
+    """Of one who stands still on a force of his weight: of another sign, in kN, and beside the foot."""
+    bones = Bones.read(DATA / "osim/gait10dof18musc.osim", "cpu")
+    time = np.linspace(0.0, 1.0, 41)
+    pose = {name: np.array([bones.model.coordinates[name].default]) for name in bones.coordinates}
+    still = np.tile(np.concatenate(list(pose.values())), (41, 1))
+    write_angles(tmp_path / "motion.mot", bones.model, bones.coordinates, time, still)
+    weight = sum(body.mass for body in bones.model.bodies.values()) * np.linalg.norm(bones.model.gravity)
+    foot = forward(bones.model, complete(bones.model, pose, 1))["calcn_r"][1][0]
+    row = [0.0, factor * weight, 0.0, foot[0] + off, *foot[1:]]
+    labels = tuple(part + axis for part in "fp" for axis in "xyz")
+    write_storage(tmp_path / "push.mot", "push", Storage(labels, time, np.tile(row, (41, 1))))
+    (tmp_path / "push.xml").write_text(LOADS)
+    options = {"motion": tmp_path / "motion.mot", "loads": tmp_path / "push.xml", "output": tmp_path / "out"}
+    with caplog.at_level(logging.WARNING, "myowarp"):
+        Dynamics(DATA / "osim/gait10dof18musc.osim", **options)()
+    said = [record.getMessage() for record in caplog.records]
+    worst = rf"{abs(1.0 - factor) * weight:.0f} N \({share} % of the weight\) at pelvis_t[xy], at \S+ s"
+    assert re.search(rf"residuals at the root: {worst}; \S+ N m at pelvis_tilt", capsys.readouterr().err)
+    doubt = "check sign, unit and bodies of the loads: more than 5 % of the weight is left at the root"
+    expected = [doubt] if share > 5 else []
+    if off > 0.5:
+        expected.append(f"the centre of pressure of 'ground' is {off} m from calcn_r: wrong foot or unit[?]")
+    assert len(said) == len(expected)
+    assert all(map(re.fullmatch, expected, said))
+    assert title(tmp_path / "out/moments.sto") == "; ".join(["joint moments, N m and N", *said])

@@ -101,7 +101,7 @@ def test_tools(tmp_path, name):
         () if "InverseDynamics" in text else None,
     )
     assert found.sources == (found.file,)
-    assert replace(found, file=None, sources=(), tasks=None, excluded=None) == expected
+    assert replace(found, file=None, tool="", sources=(), tasks=None, excluded=None) == expected
 
 
 def test_scale_tool(tmp_path):

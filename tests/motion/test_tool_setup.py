@@ -11,6 +11,7 @@ from myowarp.apps.cli.motion.forces import Forces
 from myowarp.apps.cli.motion.kinematics import Kinematics
 from myowarp.motion.markers import Markers, read_trc, write_trc
 from myowarp.motion.movement import read_motion, write_angles
+from myowarp.motion.steps import dynamics, kinematics
 from myowarp.motion.storage import Storage, read_storage, write_storage
 from myowarp.motion.tool_setup import read_tool_setup
 from myowarp.osim.body.skeleton import Bones
@@ -217,6 +218,51 @@ def test_a_set_of_markers(leg):
     (folder / "set.xml").write_text(MARKERS.format(names[0], "nose", 0, 0, 0))
     with pytest.raises(ValueError, match="is on the body 'nose', which the model does not have"):
         Kinematics(LEG, **options, marker_set=folder / "set.xml", output=folder / "nose")()
+
+
+@pytest.mark.parametrize(("step", "tool", "message"), [
+    (Forces, "InverseKinematicsTool", "OpenSim's InverseKinematicsTool; this step takes .*, AnalyzeTool"),
+    (Dynamics, "InverseKinematicsTool", "OpenSim's InverseKinematicsTool; this step takes those of InverseD"),
+    (Forces, "ScaleTool", "OpenSim's ScaleTool; this step takes"),
+    (Kinematics, "ScaleTool", "OpenSim's ScaleTool; this step takes those of InverseKinematicsTool"),
+    (Kinematics, "CMCTool", "OpenSim's CMCTool; this step takes those of InverseKinematicsTool, IMU"),
+    (Dynamics, "RRATool", "OpenSim's RRATool; this step takes those of"),
+])  # fmt: skip
+def test_files_of_another_tool_are_refused(gait, step, tool, message):
+    """Whose weights, times and filter were taken, or none of them, without a word."""
+    folder, _ = gait
+    tasks = '<IKTaskSet><objects><IKMarkerTask name="toe"/></objects></IKTaskSet>'
+    (folder / "other.xml").write_text(
+        f'<OpenSimDocument Version="40000"><{tool}><MarkerPlacer>{tasks}</MarkerPlacer>{tasks}</{tool}>'
+        "</OpenSimDocument>"
+    )
+    source = {"markers": folder / "walk.trc"} if step is Kinematics else {"motion": folder / "motion.mot"}
+    with pytest.raises(ValueError, match=message) as caught:
+        step(GAIT, **source, setup=folder / "other.xml", output=folder / "out")()
+    assert "\n" not in str(caught.value)
+    assert not (folder / "out").exists()
+
+
+def test_a_step_in_python_refuses_files_of_another_tool(gait):
+    folder, _ = gait
+    bones, path = Bones.read(GAIT), folder / "ik.xml"
+    path.write_text(KINEMATICS.format('<IKMarkerTask name="toe"/>'))
+    with pytest.raises(ValueError, match="is a set-up file of OpenSim's InverseKinematicsTool"):
+        dynamics(bones, read_tool_setup(path).stating(motion=folder / "motion.mot"))
+    with pytest.raises(ValueError, match="is a set-up file of OpenSim's InverseDynamicsTool"):
+        kinematics(bones, read_tool_setup(folder / "id.xml").stating(markers=folder / "walk.trc"))
+
+
+def test_what_a_set_up_file_comes_to_is_said(gait, capsys):
+    """Times and filter of static optimisation, which dynamics takes, too; what an option states wins."""
+    folder, _ = gait
+    Dynamics(GAIT, setup=folder / "so.xml", output=folder / "out")()
+    said = "With so.xml (AnalyzeTool): 0.3 to 0.5 s, a filter of 6 Hz, loads push.xml"
+    assert said in capsys.readouterr().err
+    time = read_storage(folder / "out/moments.sto").time
+    assert (time[0], time[-1]) == pytest.approx((0.3, 0.5))
+    Dynamics(GAIT, setup=folder / "so.xml", filter=3.0, span=(0.4, 0.5), output=folder / "own")()
+    assert "0.4 to 0.5 s, a filter of 3 Hz, loads push.xml" in capsys.readouterr().err
 
 
 def test_other_files_are_refused(gait):

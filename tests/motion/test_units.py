@@ -62,6 +62,8 @@ def test_headers_are_read_as_opensim_reads_them(tmp_path, header, theirs):
     (["walk", "version=1", "inDegrees=perhaps"], "has inDegrees=perhaps; it must be yes or no"),
     (["walk", "version=1"], r"r_elbow_flex of .* goes to 90, in radians 5157 degrees; its range is 0 to 130 "
      r"degrees; a \.mot or \.sto file says which by a line inDegrees=yes or inDegrees=no"),
+    (["walk", "version=1", "inDegrees=no"], "r_elbow_flex of .* goes to 90, in radians 5157 degrees; .* its "
+     "header says inDegrees=no, so correct it to inDegrees=yes, or write true turns in degrees"),
 ])  # fmt: skip
 def test_headers_that_leave_it_open_are_refused(tmp_path, arm, monkeypatch, head, message):
     path = recording(tmp_path, head, DEGREES)
@@ -73,14 +75,14 @@ def test_headers_that_leave_it_open_are_refused(tmp_path, arm, monkeypatch, head
 
 
 @pytest.mark.parametrize(("head", "values", "message"), [
-    (["inDegrees=no"], DEGREES, "goes to 90, in radians 5157 degrees; .* the file is read in radians, as"),
     (["inDegrees=yes"], np.degrees(DEGREES), "goes to 5157, .* the file is read in degrees, as its header"),
+    ([], np.radians(DEGREES), "'.*' is read in radians: its header does not say inDegrees"),
     (["inDegrees=yes"], np.radians(DEGREES), r"within 1\.57 degrees; if they are radians, up to 90 degrees, "
      "its header must say version=1 and inDegrees=no"),
 ])  # fmt: skip
 def test_angles_that_cannot_be_are_said_once(tmp_path, arm, monkeypatch, caplog, head, values, message):
     path = recording(tmp_path, ["walk", "version=1", *head], values)
-    scale = np.pi / 180.0 if "yes" in head[0] else 1.0
+    scale = np.pi / 180.0 if head else 1.0
     for size in (ROWS, 16):
         monkeypatch.setattr(streams, "FRAMES", size)
         caplog.clear()
@@ -93,7 +95,7 @@ def test_angles_that_cannot_be_are_said_once(tmp_path, arm, monkeypatch, caplog,
 
 
 @pytest.mark.parametrize(("head", "values"), [
-    (["version=1", "inDegrees=no"], np.radians(DEGREES)), (["version=1"], np.radians(DEGREES)),
+    (["version=1", "inDegrees=no"], np.radians(DEGREES)),
     (["nRows=60"], DEGREES),
     *((["version=1", "inDegrees=yes"], scale * DEGREES) for scale in (1.0, 0.0, 0.003, 0.05, -0.02, 3.0)),
 ])  # fmt: skip
@@ -127,6 +129,55 @@ def test_a_coordinate_twice(tmp_path, arm):
     path.write_text(path.read_text().replace(NAMES[1], f"/jointset/r_shoulder/{NAMES[0]}/value"))
     with pytest.raises(ValueError, match="has two columns of the coordinate 'r_shoulder_elev'"):
         read_motion(path, arm)
+
+
+@pytest.mark.parametrize(("label", "refused"), [
+    ("r_elbow_flexion", True), ("R_Elbow_Flex", True), ("elbow_flex", True),
+    ("/jointset/r_elbow/r_elbow_flexion/value", True), ("r_shoulder_elev_u", False), ("wrist", False),
+])  # fmt: skip
+def test_columns_that_are_called_nearly_like_a_coordinate(tmp_path, arm, monkeypatch, caplog, label, refused):
+    """An elbow that stood at its default over a column of the elbow; other columns are named, once."""
+    path = recording(tmp_path, ["walk", "version=1", "inDegrees=yes"], DEGREES)
+    path.write_text(path.read_text().replace(NAMES[1], label))
+    name = label.split("/")[-2] if "/" in label else label
+    for size in (ROWS, 16):
+        monkeypatch.setattr(streams, "FRAMES", size)
+        caplog.clear()
+        if refused:
+            message = f"has no 'r_elbow_flex', and a column '{name}', .*; rename the column"
+            with pytest.raises(ValueError, match=message):
+                list(read_parts(path, arm))
+            continue
+        with caplog.at_level(logging.WARNING):
+            parts = list(read_parts(path, arm))
+        assert parts[0].absent == ("r_elbow_flex",)
+        assert [record.getMessage() for record in caplog.records] == [
+            f"no coordinate of the model reads these columns of {str(path)!r}: {name}"
+        ]
+
+
+def test_states_of_others_than_coordinates_are_not_named(tmp_path, arm, caplog):
+    path = recording(tmp_path, ["walk", "version=1", "inDegrees=yes"], DEGREES)
+    path.write_text(path.read_text().replace(NAMES[1], "/forceset/BRA/activation"))
+    with caplog.at_level(logging.WARNING):
+        assert read_motion(path, arm).absent == ("r_elbow_flex",)
+    assert not caplog.records
+
+
+@pytest.mark.parametrize(("factor", "said"), [(1.0, ""), (1e3, "lasts 590 s at 0.1 Hz"),
+                                              (100.0 / 0.59, "lasts 100 s at 0.59 Hz")])  # fmt: skip
+def test_times_that_are_hardly_seconds(tmp_path, arm, caplog, factor, said):
+    """60 frames at 100 Hz, in ms and in percent."""
+    path = recording(tmp_path, ["walk", "version=1", "inDegrees=yes"], DEGREES)
+    head, rows = path.read_text().split("flex\n")
+    rows = [(float(row.split()[0]) * factor, row.split(maxsplit=1)[1]) for row in rows.splitlines()]
+    path.write_text(f"{head}flex\n" + "".join(f"{time:.9g}\t{rest}\n" for time, rest in rows))
+    with caplog.at_level(logging.WARNING):
+        read_motion(path, arm)
+    texts = [record.getMessage() for record in caplog.records]
+    assert texts == (
+        [f"the motion of {str(path)!r} {said}; is its time in ms, or in percent?"] if said else []
+    )
 
 
 def test_pages_show_degrees(tmp_path, arm):

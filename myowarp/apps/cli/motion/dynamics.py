@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from myowarp.apps.cli.motion import options as of
+from myowarp.apps.cli.motion.said import Left
 from myowarp.apps.cli.motion.steps import along, say_saved, setup_of
 
 FILES = "moments.sto", "passive_moments.sto", "contact_forces.sto"
@@ -23,5 +24,6 @@ class Dynamics(of.Along):
         """Check, solve, write."""
         from myowarp.motion.steps import dynamics
 
-        lines = along(self, setup_of(self), dynamics, FILES, ("passive_moments.sto",))
-        say_saved(lines, FILES, self.output)
+        left = Left()
+        lines = along(self, setup_of(self), dynamics, FILES, ("passive_moments.sto",), left.add)
+        say_saved([*lines, *left.lines()], FILES, self.output)

@@ -10,7 +10,8 @@ import numpy as np
 
 if TYPE_CHECKING:
     from myowarp.motion.emg import Comparison
-    from myowarp.motion.results import Gaps, JointAngles, MotionForces, TrackedMotion
+    from myowarp.motion.residuals import Residuals
+    from myowarp.motion.results import Gaps, JointAngles, JointMoments, MotionForces, TrackedMotion
     from myowarp.motion.scaling import Scaled
     from myowarp.osim.body.skeleton import Bones
 
@@ -76,7 +77,29 @@ def _unit(bones: Bones, number: int) -> str:
     return "N m" if bones.model.coordinates[bones.coordinates[number]].rotational else "N"
 
 
-class Lacking:
+def at_joints(bones: Bones) -> np.ndarray:
+    """Return which coordinates carry no model through space; what acts along the others is a residual."""
+    from myowarp.osim.document.kinematics import floating
+
+    root = floating(bones.model)
+    return np.array([name not in root for name in bones.coordinates])
+
+
+class Left:
+    """What a motion and its loads leave at roots, over all its parts."""
+
+    found: Residuals | None = None
+
+    def add(self, part: JointMoments | MotionForces) -> None:
+        """Take a part in."""
+        self.found = part.residuals if self.found is None else self.found.among(part.residuals)
+
+    def lines(self) -> list[str]:
+        """Return the greatest force and moment."""
+        return [] if self.found is None else self.found.lines()
+
+
+class Lacking(Left):
     """The moments of a motion that muscles could not provide, over all its parts."""
 
     def __init__(self) -> None:
@@ -86,6 +109,7 @@ class Lacking:
 
     def add(self, part: MotionForces) -> None:
         """Count a part."""
+        super().add(part)
         self.bones, found = part.bones, part.solved
         self.frames += len(found.feasible)
         self.missed += int((~found.feasible).sum())
@@ -95,14 +119,15 @@ class Lacking:
             self.most[name] = np.maximum(most, self.most.get(name, 0.0))
 
     def lines(self) -> list[str]:
-        """Return what muscles could not do."""
-        lines = []
+        """Return what muscles could not do; what they need not, at roots, is apart."""
+        lines = super().lines()
         if self.missed:
             lines.append(
                 f"muscles cannot hold {self.missed} of {self.frames} frames; missing.sto has what is left"
             )
+        joints = at_joints(self.bones)
         for name, most in self.most.items():
-            for k in most.argsort()[::-1][:SHOWN]:
+            for k in [k for k in most.argsort()[::-1] if joints[k]][:SHOWN]:
                 if most[k] > 1e-3:
                     unit = _unit(self.bones, k)
                     lines.append(f"{name} at {self.bones.coordinates[k]}: {most[k]:.3g} {unit} at most")
@@ -117,7 +142,9 @@ def of_tracking(found: TrackedMotion) -> list[str]:
     shown = np.where(turns, np.degrees(off), 100.0 * off)  # a degree beside a centimetre
     for k in shown.argsort()[::-1][:SHOWN]:
         lines.append(f"{bones.coordinates[k]}: {shown[k]:.2f} {'°' if turns[k] else 'cm'} rms off the motion")
+    lines += found.residuals.lines()
+    joints = at_joints(bones)
     most = abs(found.tracked.reserve[:, 0]).max(axis=0)
-    for k in most.argsort()[::-1][:SHOWN]:
+    for k in [k for k in most.argsort()[::-1] if joints[k]][:SHOWN]:
         lines.append(f"reserve at {bones.coordinates[k]}: {most[k]:.3g} {_unit(bones, k)} at most")
     return lines

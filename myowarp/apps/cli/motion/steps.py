@@ -100,10 +100,12 @@ def setup_of(command: Any, **more: Any) -> TrialSetup:
         ValueError: The file is none, or a number is out of bounds.
         OSError: A file cannot be read.
     """
-    from myowarp.motion.setup import TrialSetup
+    from myowarp.apps.cli.motion.options import Along
+    from myowarp.motion.setup import MOTIONS, POSES, TrialSetup
     from myowarp.motion.tool_setup import read_tool_setup
 
     said = TrialSetup() if command.setup is None else read_tool_setup(command.setup)
+    said.check_tool(MOTIONS if isinstance(command, Along) else POSES)
     stated = vars(command) | {"cutoff": getattr(command, "filter", None)} | more
     names = [one.name for one in fields(TrialSetup) if one.name in stated]
     return said.stating(**{name: stated[name] for name in names})
@@ -120,8 +122,18 @@ def bones_of(command: Along, setup: TrialSetup) -> Bones:
     acts = setup.contact is not None
     read = Bones.read(command.model, function_paths=command.function_paths, contact=acts)
     bones, lines = setup.model_of(read)
-    say(lines)
+    say([*applied(setup), *lines])
     return bones
+
+
+def applied(setup: TrialSetup) -> list[str]:
+    """Return what a set-up file and the options beside it come to, in one line; none without a file."""
+    if setup.file is None:
+        return []
+    times = "all times" if setup.span is None else "{:g} to {:g} s".format(*setup.span)
+    kept = "no filter" if setup.cutoff is None else f"a filter of {setup.cutoff:g} Hz"
+    loads = "no loads" if setup.loads is None else f"loads {setup.loads.name}"
+    return [f"With {setup.file.name} ({setup.tool}): {times}, {kept}, {loads}"]
 
 
 def absent_from(motion: Movement) -> list[str]:

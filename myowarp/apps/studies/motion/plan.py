@@ -291,7 +291,7 @@ def recording_of(trial: Trial, study: Study) -> Recording:
         time = known = found.fitted.time
         values = found.fitted.values
     else:
-        motion = read_motion(said.motion, bones)
+        motion = read_motion(said.angles, bones)
         time = motion.time if said.span is None else motion.between(*said.span).time
         known, values = motion.time, motion.values
     loads = acting(bones, None if said.loads is None else Loads(said.loads), time)
