@@ -216,8 +216,8 @@ def _columns() -> Registry[CohortColumn]:
         "exo_assistance": Share("exoskeleton", "assistance", "Exoskeleton, share of muscle torque"),
         "exo_mass": CohortColumn("exoskeleton", "forearm_mass", "Exoskeleton on the forearm", "kg"),
         "load_mass": CohortColumn("load", "mass", "Load in the hand", "kg"),
-        "noise_signal": CohortColumn("motor_noise", "signal", "Motor noise per excitation", otherwise=0.0),
-        "noise_constant": CohortColumn("motor_noise", "constant", "Motor noise at rest", otherwise=0.0),
+        "noise_signal": Share("motor_noise", "signal", "Motor noise per excitation", otherwise=0.0),
+        "noise_constant": Share("motor_noise", "constant", "Motor noise at rest", otherwise=0.0),
     }.items():
         columns.add(name, column)
     return columns

@@ -50,12 +50,12 @@ def test_columns_are_parameters_of_conditions(name):
     assert column.parameter in fields
 
 
-NUMBERS = [name for name in COLUMNS if type(COLUMNS[name]).__name__ == "CohortColumn"]
+NUMBERS = [name for name in COLUMNS if type(COLUMNS[name]).__name__ in ("CohortColumn", "Share")]
 
 
 @pytest.mark.parametrize("name", NUMBERS)
 def test_ranges_are_the_conditions_own(name):
-    """What the table refuses at its lower end the condition would refuse too; what it takes, it takes."""
+    """What the table refuses at its ends the condition would refuse too; what it takes, it takes."""
     column = COLUMNS[name]
     partner = {"tear_time": {"tendon_tear": [("BRA",)]}}.get(name, {})
 
@@ -66,6 +66,9 @@ def test_ranges_are_the_conditions_own(name):
     with pytest.raises(ValueError, match=column.parameter):
         build(column.low - 0.1)
     build(column.high if column.high < np.inf else 3.0)
+    if type(column).__name__ == "Share":
+        with pytest.raises(ValueError, match=column.parameter):
+            build(1.01 * column.high)
     with pytest.raises(ValueError):  # noqa: PT011 (the message is made of the column's by the reader)
         column.parse(column.low - 0.1, ())
 
