@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from myowarp.definitions.scene import Scene
 
 SPANS = ("episode", "life")
+MOST = 3.0
+"""Largest share that is no slip of percent: three times the whole."""
 
 
 @dataclass(frozen=True)
@@ -180,6 +182,7 @@ class Parameter:
         low: float = -np.inf,
         high: float = np.inf,
         usual: float | None = None,
+        whole: str = "",
     ) -> None:
         """Check a value and put it on the current Warp device.
 
@@ -192,12 +195,13 @@ class Parameter:
             low: Least value allowed.
             high: Greatest value allowed.
             usual: Greatest value that a slider offers.
+            whole: Of a share: what 1 is, such as "the healthy one"; more than `MOST` of it is refused.
 
         Raises:
             ValueError: The value has a wrong shape, is out of its range, or names an unknown muscle.
         """
         self.name, self.worlds, self.names = name, scene.worlds, tuple(names)
-        self.neutral, self.bounds, self.usual = neutral, (low, high), usual
+        self.neutral, self.bounds, self.usual, self.whole = neutral, (low, high), usual, whole
         self.draws: list[Drawn] = []
         self.curve = Curve()
         ramp = value if isinstance(value, Ramp) else Ramp(value, value)
@@ -319,6 +323,11 @@ class Parameter:
             if high == np.inf and low > -np.inf:
                 span = f">= {low:g}" if wrong[0] < low else f"{finite} and >= {low:g}"
             raise ValueError(f"{self.name} must be {span}, got {wrong[0]:g}")
+        if self.whole and (most := numbers.max(initial=0.0)) > MOST:
+            raise ValueError(
+                f"{self.name} must be at most {MOST:g} times {self.whole}, got {most:g}; "
+                f"for {most:g} % write {most / 100.0:g}"
+            )
 
     def values(self, world: int) -> np.ndarray:
         """Return what a world has now, before its change over time, shape (1 or num_muscles,)."""

@@ -108,6 +108,15 @@ def word(name: str) -> str:
     return f"{what}, {SOURCES[law]}" if law in SOURCES else name
 
 
+def heading(name: str, mass: float | None) -> str:
+    """Return a figure and its unit, for people; the model's mass [kg] stands beside a rate per kilogram.
+
+    The model may be a part of a person, such as an arm.
+    """
+    of = f" of the model, {mass:.3g} kg" if mass is not None and UNITS[name] == "W/kg" else ""
+    return f"{word(name)} [{UNITS[name]}{of}]"
+
+
 def doubt(figures: Mapping[str, float | None]) -> str:
     """Return, in a sentence, that a free root's metabolic rate is above `ABSURD_RATE`; "" where none is."""
     speed, *rates = (figures.get(name) for name in ("speed", *(f"{law}_per_kg" for law in LAWS)))

@@ -22,7 +22,7 @@ import numpy as np
 
 from myowarp.definitions.condition import CONDITIONS, Condition, resolve
 from myowarp.definitions.muscle import muscle_index
-from myowarp.definitions.parameter import Ramp, Uniform, Value
+from myowarp.definitions.parameter import MOST, Ramp, Uniform, Value
 from myowarp.definitions.registry import Registry
 from myowarp.definitions.task import TaskSpec
 from myowarp.disk import number_in
@@ -139,6 +139,17 @@ def _span(text: str, number: Callable[[str], float]) -> Span:
 
 
 @dataclass(frozen=True)
+class Share(CohortColumn):
+    """A column of shares of a whole, which may be a few times as much."""
+
+    high: float = MOST
+
+    def expected(self) -> str:
+        """Return what an entry has to be."""
+        return f"a share in {self.low:g}..{self.high:g}, such as 0.3 for 30 %"
+
+
+@dataclass(frozen=True)
 class Switch(CohortColumn):
     """A column of 0 and 1."""
 
@@ -185,7 +196,7 @@ def _columns() -> Registry[CohortColumn]:
     """Return all columns by name."""
     columns: Registry[CohortColumn] = Registry("cohort column")
     for name, column in {
-        "strength": CohortColumn("sarcopenia", "strength", "Muscle strength (healthy: 1)"),
+        "strength": Share("sarcopenia", "strength", "Muscle strength (healthy: 1)"),
         "fatigue_rate": CohortColumn("fatigue_3ccr", "fatigue_rate", "Fatigue rate", "1/s", high=10.0),
         "recovery_rate": CohortColumn("fatigue_3ccr", "recovery_rate", "Recovery rate", "1/s", high=10.0),
         "rest_recovery_factor": CohortColumn(
@@ -202,11 +213,11 @@ def _columns() -> Registry[CohortColumn]:
         "reafferentation": Switch("reafferentation", "affected", "Reafferentation"),
         "tendon_tear": TornMuscles("tendon_tear", "muscles", "Torn tendon"),
         "tear_time": CohortColumn("tendon_tear", "time", "Time of the tear", "s", changes=False),
-        "exo_assistance": CohortColumn("exoskeleton", "assistance", "Exoskeleton, share of muscle torque"),
+        "exo_assistance": Share("exoskeleton", "assistance", "Exoskeleton, share of muscle torque"),
         "exo_mass": CohortColumn("exoskeleton", "forearm_mass", "Exoskeleton on the forearm", "kg"),
         "load_mass": CohortColumn("load", "mass", "Load in the hand", "kg"),
-        "noise_signal": CohortColumn("motor_noise", "signal", "Motor noise per excitation", otherwise=0.0),
-        "noise_constant": CohortColumn("motor_noise", "constant", "Motor noise at rest", otherwise=0.0),
+        "noise_signal": Share("motor_noise", "signal", "Motor noise per excitation", otherwise=0.0),
+        "noise_constant": Share("motor_noise", "constant", "Motor noise at rest", otherwise=0.0),
     }.items():
         columns.add(name, column)
     return columns

@@ -343,7 +343,7 @@ def test_figures_as_a_table(run):
     assert out.startswith(f"MyoWarp/{ELBOW}\n")
     cells = [[cell.strip() for cell in line.split("│")[1:3]] for line in out.splitlines() if "│" in line]
     table = dict(cells)
-    assert table["policy"] == "random"
+    assert table["policy"] == "random (default)"
     assert (table["num worlds"], table["steps"], table["episodes"]) == ("2", "2", "0")
     assert {"env steps/s", "physics steps/s"} <= set(table)
     assert "return mean" not in table

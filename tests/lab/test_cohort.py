@@ -137,6 +137,7 @@ def test_results_are_those_of_the_conditions_by_hand(five, name, conditions):
     assert summary["mean_activation"] == pytest.approx(np.array(rows)[:, 2].mean())
     assert summary["fatigue"] == pytest.approx(rows[-1][-1])
     assert summary["success"] == (sum(solved) > 5)
+    assert summary["success_last"] == solved[-1]
     assert summary["solved_share"] == np.mean(solved)
     assert summary["duration"] == pytest.approx(0.02 * STEPS)
     first = 0.02 * (1 + solved.index(True)) if any(solved) else np.nan
@@ -387,6 +388,11 @@ def test_effort_saved_by_a_newton_metre():
     np.testing.assert_allclose(found[:, 1:], [[9.0, 10.0], [2.0, 2.0]])  # points per N m
     assert np.isnan(found[:, 0]).all()
     np.testing.assert_allclose(drawn[0].get_images()[0].get_array(), np.degrees(0.1))
+    assert {text.get_text().split("\n")[0] for text in drawn[0].texts} == {"5.7"}
+    said = " ".join(figure.get_supxlabel().split())
+    assert "proportional controller of fixed gain" in said
+    other = assistance.assistance_map(summary, settings | {"task": ELBOW, "policy": "baseline"})
+    assert "proportional" not in other.get_supxlabel()
     worst = np.array([axes.get_images()[0].cmap(1.0)[:3] for axes in drawn])
     assert (worst[:2, 0] > worst[:2, 2]).all(), "red outweighs blue where much is bad"
     assert worst[2, 2] > worst[2, 0], "and not where much is good"

@@ -50,12 +50,12 @@ def test_columns_are_parameters_of_conditions(name):
     assert column.parameter in fields
 
 
-NUMBERS = [name for name in COLUMNS if type(COLUMNS[name]).__name__ == "CohortColumn"]
+NUMBERS = [name for name in COLUMNS if type(COLUMNS[name]).__name__ in ("CohortColumn", "Share")]
 
 
 @pytest.mark.parametrize("name", NUMBERS)
 def test_ranges_are_the_conditions_own(name):
-    """What the table refuses at its lower end the condition would refuse too; what it takes, it takes."""
+    """What the table refuses at its ends the condition would refuse too; what it takes, it takes."""
     column = COLUMNS[name]
     partner = {"tear_time": {"tendon_tear": [("BRA",)]}}.get(name, {})
 
@@ -66,6 +66,9 @@ def test_ranges_are_the_conditions_own(name):
     with pytest.raises(ValueError, match=column.parameter):
         build(column.low - 0.1)
     build(column.high if column.high < np.inf else 3.0)
+    if type(column).__name__ == "Share":
+        with pytest.raises(ValueError, match=column.parameter):
+            build(1.01 * column.high)
     with pytest.raises(ValueError):  # noqa: PT011 (the message is made of the column's by the reader)
         column.parse(column.low - 0.1, ())
 
@@ -155,11 +158,18 @@ def test_names_of_muscles_may_lack_their_side():
     [
         (
             "strength\n1\n\n-0.5\n",
-            r"^cohort row 2 \(patient '2'\), column 'strength': needs a number >= 0, got '-0\.5'$",
+            r"^cohort row 2 \(patient '2'\), column 'strength': needs a share in 0\.\.3, such as 0\.3 for "
+            r"30 %, got '-0\.5'$",
+        ),
+        (
+            "exo_assistance\n40\n",
+            r"^cohort row 1 \(patient '1'\), column 'exo_assistance': needs a share in 0\.\.3, such as 0\.3 "
+            r"for 30 %, got '40'$",
         ),
         (
             "patient,strength\nA,\n",
-            r"^cohort row 1 \(patient 'A'\), column 'strength': needs a number >= 0, got nothing$",
+            r"^cohort row 1 \(patient 'A'\), column 'strength': needs a share in 0\.\.3, such as 0\.3 for "
+            r"30 %, got nothing$",
         ),
         (
             "patient;load_mass\nA;0,5\n",

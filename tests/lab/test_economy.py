@@ -5,11 +5,12 @@ import re
 from functools import lru_cache
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pandas as pd
 import pytest
 from rich.console import Console
-from thrown import AHEAD, thrown
+from thrown import AHEAD, HOPPER, thrown
 
 import myowarp
 from myowarp.apps.cli.eval import _print_table
@@ -140,6 +141,9 @@ def test_a_cohort_counts_falls_apart(task, known):
     shown = {cells[0].strip(): cells[1].strip() for cells in lines if len(cells) == 2}
     share = f"{100 * (~fell).mean():.1f} %"
     assert shown["successful"] == f"{share} (more than 5 solved steps, no failure)"
+    assert shown["at the end"].endswith("% (solved on the last step)")
+    mass = f"{mujoco.MjModel.from_xml_path(str(HOPPER)).body_mass.sum():.3g}"
+    assert f"metabolic rate, Bhargava 2004 [W/kg of the model, {mass} kg]" in shown
     assert shown["failed"] == f"{2 * fell.sum()} of {2 * WORLDS} episodes"
     assert float(shown["speed [m/s]"]) == pytest.approx(speeds[~fell].mean(), rel=0.01)
     assert float(shown["cost of transport, Bhargava 2004 [J/kg/m]"]) == pytest.approx(
@@ -223,15 +227,19 @@ def test_eval_prints_rules_units_and_one_episode(capsys, monkeypatch):
     figures = dict.fromkeys(UNITS, 1.234) | dict.fromkeys(names, 1.0)
     figures |= {"intervals": dict.fromkeys(names, (0.5, 1.0)), "return_mean": 20.0, "return_std": 1e-9}
     figures |= {"mean_activation": None, "activation_rate": None, "length_mean": 20.0, "reachable": None}
+    figures |= {"body_mass": 1.49}
     figures |= {"episodes": 4, "failed": 1, "faults": 0}
     head = {"task": "thrown", "physics": "parity", "conditions": [], "seed": 0}
     one, many = figures | {"one_episode": True}, figures | {"one_episode": False}
-    many["umberger2010_per_kg"] = 42.0
+    many["umberger2010_per_kg"], many["success_last"] = 42.0, 0.25
     _print_table(head, {"deterministic": one, "sampled": many})
     said = capsys.readouterr().out
     for text in ("length [steps]", "speed [m/s]", "cost of transport, Bhargava 2004 [J/kg/m]", "failed"):
         assert text in said
-    assert said.count("100 % (one episode)") == said.count("100.0 % (50.0 to 100.0)") == 4
+    assert said.count("100 % (one episode)") == 1 + said.count("100.0 % (50.0 to 100.0)") == 4
+    assert "metabolic rate, Bhargava 2004 [W/kg of the model, 1.49 kg]" in said
+    passed = "sampled: 100 % succeed by the rule, but 25 % are at the goal on the last step"
+    assert said.count(passed) == said.count("pass through") == 1
     assert "more than 5 solved steps, failed or not (MyoSuite)" in said
     assert re.search(r"return +│ 20.0 +│ 20.0 ± 0.0", said)
     assert said.count("absurd") == said.count("sampled: absurd metabolic rate: up to 42.0 W/kg") == 1

@@ -268,6 +268,11 @@ def test_other_bodies_cannot_wear_it(body):
     ("options", "message"),
     [
         ({"assistance": -0.1}, r"^exoskeleton assistance must be >= 0, got -0\.1$"),
+        (
+            {"assistance": Uniform(0.0, 40.0)},
+            r"^exoskeleton assistance must be at most 3 times the muscles' torque, got 40; "
+            r"for 40 % write 0\.4$",
+        ),
         ({"forearm_mass": -1}, r"^exoskeleton forearm_mass must be >= 0, got -1$"),
         (
             {"assistance": np.ones(3)},

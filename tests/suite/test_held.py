@@ -59,5 +59,34 @@ def test_a_root_that_is_free_falls(options):
     assert np.abs(session.sim.scene.data.qpos.numpy()[session.world] - before).max() > 0.1
 
 
+FLOOR = '<worldbody><geom type="plane" size="9 9 1" pos="0 0 1.9"/>'
+SOLID = '<freejoint name="root"/><geom size=".1"'
+
+
+@pytest.mark.parametrize(
+    ("options", "floor", "falls"), [((), False, True), (("--held",), False, False), ((), True, False)]
+)
+def test_a_rollout_says_that_nothing_holds_the_body(run, tmp_path, options, floor, falls):
+    """Muscles at work do not hide it; a harness holds the body, and so does a floor under its pelvis."""
+    text = FREE.read_text().replace("hopper", tmp_path.name)  # another task for each
+    if floor:
+        bare = SOLID + ' contype="0" conaffinity="0"'
+        assert bare in text
+        text = text.replace("<worldbody>", FLOOR).replace(bare, SOLID)
+    path = tmp_path / "hopper.xml"
+    path.write_text(text)
+    status, _, err = run(
+        "rollout", "--model", path, "--num-worlds", 1, "--steps", STEPS, "--device", "cpu", *options
+    )
+    assert status == 0, err
+    assert ("Nothing holds pelvis: the model falls freely from the start; --held holds it" in err) == falls
+
+
+def test_a_body_that_cannot_move_away_is_not_held(run):
+    status, _, err = run("rollout", "myoElbowPose1D6MRandom-v0", "--held")
+    assert status != 0
+    assert "--held is for a body that can move away; that of task 'myoElbowPose1D6MRandom-v0' cannot" in err
+
+
 def still(obs):
     return np.zeros((len(obs), 2), dtype=np.float32)

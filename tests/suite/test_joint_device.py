@@ -177,6 +177,15 @@ def test_legs_can_wear_devices_at_hips_knees_and_ankles():
         ({"stiffness": -1.0}, "joint_device stiffness must be >= 0, got -1"),
         ({"assistance": np.ones(3)}, "joint_device assistance must be one number or of shape .*"),
         ({"rest": np.nan}, "joint_device rest must be a finite number, got nan"),
+        (
+            {"assistance": 40},
+            "joint_device assistance must be at most 3 times the muscles' torque, got 40; for 40 % write 0.4",
+        ),
+        (
+            {"rest": 90},
+            f"joint_device rest must be near the range of {JOINT}, 0 to 2.27 rad, got 90; "
+            "for 90 degrees write 1.57",
+        ),
         ({"delay": -0.1}, "joint_device delay must be a finite number >= 0, got -0.1"),
         ({"delay": 60}, "joint_device delay must be at most 10 s, got 60"),
         ({"limit": 0.0}, "joint_device limit must be above 0, got 0; leave a device out that does nothing"),

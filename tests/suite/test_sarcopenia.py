@@ -7,6 +7,7 @@ from configurations import configurations
 from hands import ELBOW, HAND, simulation
 from reference import mujoco_muscle, sarcopenia
 
+from myowarp.definitions.parameter import Ramp, Uniform
 from myowarp.models.conditions.sarcopenia import Sarcopenia
 
 FINGER = "myoFingerPoseFixed-v0"  # its peak forces are stored as a scale by acceleration
@@ -60,3 +61,11 @@ class TestForce:
         for strength in (0.5, 0.0, 2.0):
             np.testing.assert_array_equal(forces(key, strength, 0.0)[0], passive)
         assert (passive != 0.0).any()
+
+
+def test_percent_is_no_strength():
+    """A share of 30 would be thirty times healthy."""
+    message = "sarcopenia strength must be at most 3 times the healthy one, got 30; for 30 % write 0.3"
+    for strength in (30, Ramp(1.0, Uniform(0.2, 30.0)), {"BRA": 30}):
+        with pytest.raises(ValueError, match=f"^{message}$"):
+            simulation(ELBOW, 1, Sarcopenia(strength))

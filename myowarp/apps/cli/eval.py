@@ -14,10 +14,16 @@ from rich.markup import escape
 from rich.table import Table
 
 from myowarp.apps.cli.options import Asked, environment
-from myowarp.apps.reports.evaluation import SUCCESSES, evaluate_policy, plan_evaluation, success_text
+from myowarp.apps.reports.evaluation import (
+    SUCCESSES,
+    evaluate_policy,
+    passing,
+    plan_evaluation,
+    success_text,
+)
 from myowarp.kernels.episode import MYOSUITE
 from myowarp.sim.economy import UNITS as ECONOMY
-from myowarp.sim.economy import WALKING_UNITS, doubt, word
+from myowarp.sim.economy import WALKING_UNITS, doubt, heading
 
 
 @dataclass
@@ -73,7 +79,7 @@ def _print_table(head: dict[str, Any], results: dict[str, dict[str, Any]]) -> No
         "length_mean": "length [steps]",
         "mean_activation": "mean activation",
         "activation_rate": "activation rate [1/s]",
-        **{name: f"{word(name)} [{unit}]" for name, unit in ECONOMY.items()},
+        **{name: heading(name, some["body_mass"]) for name in ECONOMY},
         **{name: name for name in ("episodes", "failed", "faults")},
     }
     for name, text in plain.items():
@@ -83,7 +89,7 @@ def _print_table(head: dict[str, Any], results: dict[str, dict[str, Any]]) -> No
             table.add_row(escape(text), *cells)  # rich would take [m/s] for a tag
     console.print(table)
     for mode, figures in results.items():
-        if text := doubt(figures):
+        for text in filter(None, (passing(figures["success"], figures["success_last"]), doubt(figures))):
             console.print(f"{mode}: {text}", style="yellow", markup=False, soft_wrap=True)
 
 

@@ -33,6 +33,8 @@ class Rollout:
     """Worlds simulated together."""
     steps: Steps = None
     policy: Policy = "random"
+    held: bool = False
+    """Hold the part that carries all others in place, as if in a harness."""
     save: Annotated[Path | None, optional("FILE")] = None
     """Write observations, actions, rewards and endings of all steps to this .npz."""
     video: Annotated[Path | None, optional("FILE")] = None
@@ -51,16 +53,18 @@ class Rollout:
         """Run and report."""
         from myowarp.apps.policies.find import find_policy
         from myowarp.apps.rollouts.episodes import Trace
+        from myowarp.apps.rollouts.fall import Fall
         from myowarp.apps.rollouts.film import VIDEOS, Film, write
         from myowarp.apps.rollouts.recording import check_recording, recording, recording_files
         from myowarp.apps.rollouts.rollout import roll_out, save_trace
         from myowarp.disk import check_output, check_overwrite
         from myowarp.sim.simulation import Simulation
         from myowarp.tasks.setups import complete
+        from myowarp.view.browser.held import held_setup
         from myowarp.view.drawing.render import NoGraphicsError
 
         asked = self.asked.setup
-        setup = complete(asked)
+        setup = held_setup(complete(asked)) if self.held else complete(asked)
         spec = setup.spec
         steps = setup.episode_steps if self.steps is None else self.steps
         self._check_numbers(steps)
@@ -76,11 +80,14 @@ class Rollout:
         trace = Trace() if self.save else None
         film = Film(sim, range(min(self.video_worlds, self.num_worlds)), TILE) if self.video else None
         with recording(sim, self.signals, self.signals_every) if self.signals else nullcontext() as recorder:
-            watchers = [watcher for watcher in (trace, recorder, film) if watcher is not None]
+            fall = Fall(sim)
+            watchers = [watcher for watcher in (trace, recorder, film, fall) if watcher is not None]
             summary = roll_out(sim, policy, steps, *watchers, console=console)
         if isinstance(asked.task, Path):  # its poses are no task that somebody has set
             summary = dataclasses.replace(summary, success_percent=None)
         _report(dataclasses.asdict(summary), spec, self.json)
+        if text := fall.text():
+            console.print(text, style="yellow", markup=False, soft_wrap=True)
         if self.save and trace is not None:
             save_trace(self.save, sim, trace)
             console.print(f"Saved {self.save}")
@@ -114,6 +121,8 @@ def _report(figures: dict[str, object], spec: TaskSpec, as_json: bool) -> None:
         if name == "task" or value is None:
             continue
         text = f"{value:.4g}" if isinstance(value, float) else str(value)
+        if name == "policy" and value == Rollout.policy:
+            text += " (default)"
         if name.endswith("_per_s"):
             text = f"{value:,.0f}"
         table.add_row(name.replace("_per_s", "/s").replace("_", " "), text)

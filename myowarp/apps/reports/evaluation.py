@@ -47,6 +47,8 @@ SUCCESSES = {
     "success_last": "solved on the last step",
     "success_any": "solved at any step",
 }
+FAR = 0.25
+"""How much less often a step is solved at the end than an episode succeeds, for it to be said."""
 EVALUATION_SEED = 1_000_000  # other worlds than those of training
 MODES = ("deterministic", "sampled")
 
@@ -76,6 +78,7 @@ class Evaluation:
         umberger2010: The same after Umberger 2010 [W].
         bhargava2004_per_kg: Over the mass that muscles move [W/kg].
         umberger2010_per_kg: Likewise [W/kg].
+        body_mass: That mass [kg]; None: no signals were given.
         speed: Of a free root [m/s], over the episodes that did not fail.
         bhargava2004_per_kg_m: Its cost of transport [J/kg/m], likewise.
         umberger2010_per_kg_m: Likewise.
@@ -103,6 +106,7 @@ class Evaluation:
     umberger2010: float | None = None
     bhargava2004_per_kg: float | None = None
     umberger2010_per_kg: float | None = None
+    body_mass: float | None = None
     speed: float | None = None
     bhargava2004_per_kg_m: float | None = None
     umberger2010_per_kg_m: float | None = None
@@ -171,7 +175,9 @@ def evaluate(
     parts = ranks.everyones(own)
     found = {name: np.concatenate([part[name] for part in parts]) for name in own}
     figures = _figures(found, sim.scene.control_dt if len(sim.scene.muscles.names) else None)
-    figures = replace(figures, one_episode=are_one(sim.setup, found["length"], found["return"]))
+    mass = None if signals is None else signals.body_mass
+    one_episode = are_one(sim.setup, found["length"], found["return"])
+    figures = replace(figures, one_episode=one_episode, body_mass=mass)
     return figures if reachable is None else _of_reachable(figures, found["success"], found["reachable"])
 
 
@@ -298,6 +304,21 @@ def evaluate_policy(job: EvaluationJob) -> tuple[dict[str, Any], dict[str, dict[
     trained = checkpoint.manifest
     head |= {"trained_under": trained["settings"]["physics"], "samples": trained["samples"]}
     return head, results
+
+
+def passing(success: float, last: float) -> str:
+    """Return, in a sentence, that many successes pass through the goal and leave it; "" where few do.
+
+    Args:
+        success: Share of successes.
+        last: Share of episodes that are solved on their last step.
+    """
+    if success - last < FAR:
+        return ""
+    return (
+        f"{100 * success:.0f} % succeed by the rule, but {100 * last:.0f} % are at the goal on the last "
+        "step: the others pass through it"
+    )
 
 
 def success_text(figures: Mapping[str, Any], rule: str) -> str:

@@ -120,7 +120,10 @@ class Exoskeleton(Condition):
                 f"an exoskeleton that follows muscles needs a body with one joint; {scene.spec.body!r} has "
                 f"{scene.oracle.nv} degrees of freedom; give motor=True"
             )
-        assistance = Parameter("exoskeleton assistance", self.assistance, scene, (), neutral=0.0, low=0.0)
+        whole = "the muscles' torque"
+        assistance = Parameter(
+            "exoskeleton assistance", self.assistance, scene, (), neutral=0.0, low=0.0, whole=whole
+        )
         return AssistEffect(scene, cuff, clock, assistance)
 
 

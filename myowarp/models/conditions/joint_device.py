@@ -12,11 +12,12 @@ of the muscles' torque, Caggiano et al. (2022), arXiv:2205.13600.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import mujoco
 import numpy as np
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
 RADIUS = 0.04
 """Of the sphere that the mass is [m]."""
 LONGEST_DELAY = 10.0  # s
+PRELOAD = 0.5 * math.pi
+"""How far beyond the joint's range a spring may rest [rad]; what is farther is said in degrees."""
 
 Profile = tuple[tuple[float, float], ...]
 
@@ -151,8 +154,14 @@ class JointDevice(Condition):
         return tuple(worn(joint, **cls.NEUTRAL) for joint in joints)
 
     def check(self, spec: TaskSpec) -> None:
-        """Raise ValueError if the body has no such joint."""
-        self.worn_by(spec.body)
+        """Raise ValueError if the body has no such joint, or the spring rests far beyond its range."""
+        joint, _ = self.worn_by(spec.body)
+        low, high = limbs_of(BODIES[spec.body])[joint].span
+        if not low - PRELOAD <= self.rest <= high + PRELOAD:
+            raise ValueError(
+                f"joint_device rest must be near the range of {joint}, {low:.3g} to {high:.3g} rad, got "
+                f"{self.rest:g}; for {self.rest:g} degrees write {math.radians(self.rest):.3g}"
+            )
 
     def worn_by(self, body: str) -> tuple[str, AddedMass]:
         """Return the joint in a body, and the mass on the limb that it turns; ValueError if there is none."""
@@ -160,8 +169,8 @@ class JointDevice(Condition):
         limbs = limbs_of(BODIES[body])
         check_choice(f"body {body!r}: joint_device joint", joint, list(limbs))
         sphere = Part(mujoco.mjtGeom.mjGEOM_SPHERE, (RADIUS, 0.0, 0.0))
-        limb, middle = limbs[joint]
-        return joint, AddedMass(f"device_{self.joint}", limb, self.place or middle, (sphere,))
+        limb = limbs[joint]
+        return joint, AddedMass(f"device_{self.joint}", limb.name, self.place or limb.middle, (sphere,))
 
     def edit(self, spec: mujoco.MjSpec, body: str) -> None:
         """Add the mass, and an actuator that is idle until it is driven."""
@@ -187,16 +196,33 @@ def _is_number(number: object) -> bool:
     return isinstance(number, (int, float)) and not isinstance(number, bool) and bool(is_finite(number))
 
 
+class Limb(NamedTuple):
+    """What a joint turns.
+
+    Attributes:
+        name: Of the body.
+        middle: Its center of mass, in its frame [m].
+        span: Least and greatest angle of the joint [rad]; without a range, and of a slide, infinite.
+    """
+
+    name: str
+    middle: tuple[float, float, float]
+    span: tuple[float, float]
+
+
 @lru_cache(maxsize=8)
-def limbs_of(body: Body) -> Mapping[str, tuple[str, tuple[float, float, float]]]:
-    """Return hinges and slides of a body: the limb that each turns, and its center of mass [m]."""
+def limbs_of(body: Body) -> Mapping[str, Limb]:
+    """Return what hinges and slides of a body move, by the joint's name."""
     model = body.build().compile()
     found = {}
     for joint in map(model.joint, range(model.njnt)):
         if int(joint.type[0]) in POINT_JOINTS:
             limb = model.body(int(joint.bodyid[0]))
             x, y, z = map(float, limb.ipos)
-            found[joint.name] = limb.name, (x, y, z)
+            low, high = map(float, joint.range)
+            hinge = int(joint.type[0]) == mujoco.mjtJoint.mjJNT_HINGE
+            span = (low, high) if hinge and low < high else (-math.inf, math.inf)
+            found[joint.name] = Limb(limb.name, (x, y, z), span)
     return found
 
 
@@ -328,14 +354,14 @@ class JointDeviceEffect(Effect):
         where = f" of {condition.joint}" if condition.joint else ""
         owner = f"condition.joint_device.{condition.joint or 'brace'}"
 
-        def parameter(name: str, low: float, usual: float) -> Parameter:
+        def parameter(name: str, low: float, usual: float, whole: str = "") -> Parameter:
             label = f"joint_device {name}{where}"
             value = getattr(condition, name)
-            return Parameter(label, value, scene, (), neutral=0.0, low=low, usual=usual)
+            return Parameter(label, value, scene, (), neutral=0.0, low=low, usual=usual, whole=whole)
 
         self.parameters = {
             "stiffness": parameter("stiffness", 0.0, 100.0),
-            "assistance": parameter("assistance", 0.0, 1.0),
+            "assistance": parameter("assistance", 0.0, 1.0, "the muscles' torque"),
             "peak": parameter("peak", -np.inf, 50.0),
         }
         self.sphere: HungMass = sphere.bind(scene, clock, f"joint_device mass{where}", condition.mass)

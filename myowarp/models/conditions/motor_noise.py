@@ -46,8 +46,8 @@ class MotorNoise(Condition):
         """Put the standard deviations on the device."""
 
         def parameter(field: str) -> Parameter:
-            value, names = getattr(self, field), self.muscle_names(scene)
-            return Parameter(f"motor_noise {field}", value, scene, names, neutral=0.0, low=0.0)
+            value, names, whole = getattr(self, field), self.muscle_names(scene), "full excitation"
+            return Parameter(f"motor_noise {field}", value, scene, names, neutral=0.0, low=0.0, whole=whole)
 
         return MotorNoiseEffect(scene, clock, parameter("signal"), parameter("constant"))
 

@@ -37,7 +37,9 @@ class Sarcopenia(Condition):
     def bind(self, scene: Scene, clock: Clock) -> SarcopeniaEffect:
         """Put the strengths on the device."""
         names = self.muscle_names(scene)
-        strength = Parameter("sarcopenia strength", self.strength, scene, names, neutral=1.0, low=0.0)
+        strength = Parameter(
+            "sarcopenia strength", self.strength, scene, names, neutral=1.0, low=0.0, whole="the healthy one"
+        )
         return SarcopeniaEffect(scene, clock, strength)
 
 

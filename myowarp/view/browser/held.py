@@ -10,6 +10,7 @@ import dataclasses
 import mujoco
 
 from myowarp.definitions.body import BODIES
+from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TaskSpec
 from myowarp.view.drawing.style import carried_root
 
@@ -41,3 +42,14 @@ def held(spec: TaskSpec, root: str) -> TaskSpec:
     name = f"{spec.body}_held"
     BODIES.add(name, dataclasses.replace(BODIES[spec.body], build=build), replace=True)
     return dataclasses.replace(spec, body=name)
+
+
+def held_setup(setup: Setup) -> Setup:
+    """Return a complete setup with the root of its body held.
+
+    Raises:
+        ValueError: No free root carries the body.
+    """
+    if not (root := root_of(setup.spec)):
+        raise ValueError(f"--held is for a body that can move away; that of task {setup.spec.key!r} cannot")
+    return dataclasses.replace(setup, task=held(setup.spec, root))

@@ -36,6 +36,7 @@ CAPTION = (
     "episode. Saved: effort without assistance less effort, at the same strength, in points, over the size "
     "of the mean torque of the exoskeleton. Orange: the darker, the worse; blue: the darker, the better."
 )
+HOLD = " Errors are those of a proportional controller of fixed gain, not of people."
 
 
 def read_summary(folder: Path) -> tuple[pd.DataFrame, dict[str, Any]]:
@@ -87,7 +88,7 @@ def assistance_map(summary: pd.DataFrame, settings: dict[str, Any]) -> Figure:
     panels = figure.subplots(1, 3, sharey=True)
     low = medians(summary["exo_assistance"], strength, assistance)
     shown = (
-        (name, factor * cells[key], "{:.0f}", BETTER if key == "return" else WORSE),
+        (name, factor * cells[key], "{:.1f}", BETTER if key == "return" else WORSE),
         ("Effort [% of full activation]", effort, "{:.1f}", WORSE),
         ("Effort saved [points per N m]", saved(effort, cells[TORQUE], low), "{:.2f}", BETTER),
     )
@@ -99,9 +100,12 @@ def assistance_map(summary: pd.DataFrame, settings: dict[str, Any]) -> Figure:
     panels[0].set_ylabel(label("strength"))
     others = [c for c in settings["columns"] if c not in AXES and c in summary and summary[c].nunique() > 1]
     varied = f" Patients of a cell differ in {', '.join(others)}, too." if others else ""
+    fixed = HOLD if settings["policy"] == "hold" else ""
     task = settings["task"].removeprefix("MyoWarp/")
     figure.suptitle(f"{len(summary):,} episodes, {task}, policy {settings['policy']!r}", color=INK)
-    figure.supxlabel(textwrap.fill(CAPTION + varied, 170), x=0.01, ha="left", fontsize=8.5, color=PALE)
+    figure.supxlabel(
+        textwrap.fill(CAPTION + fixed + varied, 170), x=0.01, ha="left", fontsize=8.5, color=PALE
+    )
     return figure
 
 

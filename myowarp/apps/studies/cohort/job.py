@@ -10,14 +10,14 @@ from rich.console import Console
 from rich.table import Table
 
 from myowarp.apps.reports import panel
-from myowarp.apps.reports.evaluation import SUCCESSES
+from myowarp.apps.reports.evaluation import SUCCESSES, passing
 from myowarp.apps.reports.table import number, terminal
 from myowarp.apps.studies.cohort.plan import plan_cohort
 from myowarp.apps.studies.cohort.run import CohortResult, result_files, run_plan
 from myowarp.disk import check_folder, check_overwrite
 from myowarp.extras import to_install
 from myowarp.sim.economy import UNITS as ECONOMY
-from myowarp.sim.economy import doubt, word
+from myowarp.sim.economy import doubt, heading
 
 PLOT, ASSISTANCE = "plot.png", "assistance.png"
 
@@ -48,7 +48,12 @@ def run(table: Path, output: Path, suffix: str, console: Console, overwrite: boo
             with panel.style(9.5):
                 panel.save(assistance_map(result.summary, result.settings), paths[-1], dpi=130)
     Console().print(figures(result))
-    if text := doubt(result.summary.filter(ECONOMY).max()):
+    summary = result.summary
+    said = (
+        passing(summary["success"].mean(), summary["success_last"].mean()),
+        doubt(summary.filter(ECONOMY).max()),
+    )
+    for text in filter(None, said):
         console.print(text, style="yellow", markup=False)
     for path in paths:
         console.print(f"Saved {path}")
@@ -65,6 +70,7 @@ def figures(result: CohortResult) -> Table:
         "control steps": str(settings["steps"]),
         "conditions": ", ".join(settings["conditions"]) or "none",
         "successful": f"{100 * summary['success'].mean():.1f} % ({SUCCESSES['success']})",
+        "at the end": f"{100 * summary['success_last'].mean():.1f} % ({SUCCESSES['success_last']})",
         "failed": f"{summary['failed'].sum():,} of {len(summary):,} episodes",
     }
     if "final_error" in summary:
@@ -73,6 +79,6 @@ def figures(result: CohortResult) -> Table:
         rows["error in the last quarter"] = f"{middle:.3g} {unit} (middle half {low:.3g} to {high:.3g})"
     rows["mean activation"] = f"{summary['mean_activation'].mean():.3f}"
     known = {name: summary[name].mean() for name in settings["units"] if name in ECONOMY}
-    rows |= {f"{word(name)} [{ECONOMY[name]}]": number(mean) for name, mean in known.items()}
+    rows |= {heading(name, settings["body_mass"]): number(mean) for name, mean in known.items()}
     rows["faults"] = str(summary["fault"].notna().sum())
     return terminal((), rows.items())

@@ -119,7 +119,7 @@ def _drawn(result: CohortResult) -> Figure:
 
 def _by_patient(result: CohortResult) -> pd.DataFrame:
     """Return one row a patient: means over the trials."""
-    judged = ["success", outcome(result.summary, result.settings)[0]]
+    judged = ["success", "success_last", outcome(result.summary, result.settings)[0]]
     grouped = result.summary.groupby("patient", sort=False, observed=True)
     entries = grouped[result.settings["columns"]].first()
     return entries.join(grouped[judged].mean())
@@ -148,7 +148,8 @@ def _title(result: CohortResult, summary: pd.DataFrame) -> str:
     trials = "" if settings["trials"] == 1 else f"{settings['trials']} trials of "
     return (
         f"{len(summary):,} patients, {settings['task'].removeprefix('MyoWarp/')}, {trials}{duration:g} s, "
-        f"policy {settings['policy']!r}: {100 * summary['success'].mean():.0f} % successful"
+        f"policy {settings['policy']!r}: {100 * summary['success'].mean():.0f} % successful, "
+        f"{100 * summary['success_last'].mean():.0f} % solved on the last step"
     )
 
 

@@ -62,12 +62,13 @@ class CohortResult:
         samples: One row per patient, trial and sampled time: `tracking_error` where the task has one,
             `mean_activation`, `total_force`, metabolic rates of the whole body, `reward`, `solved`, and what
             conditions show, as means over the muscles.
-        summary: One row per patient and trial: the patient's entries, `success` (more than 5 steps solved,
-            and no failure), `failed` (the episode ended by the task's failure), `return`, `time_to_solve`
-            (NaN: never), `solved_share` of the steps, `mean_error`, `final_error` (mean over the last
-            quarter; of one who failed before, the last), means of activation, force and metabolic rates, of
-            a free root `speed` and cost of transport (these and the rates are missing where it failed), last
-            values and means of what conditions show, `duration`, `fault` (missing: none).
+        summary: One row per patient and trial: the patient's entries, `success` (more than 5 steps
+            solved, and no failure), `success_last` (solved on the last step), `failed` (the episode ended
+            by the task's failure), `return`, `time_to_solve` (NaN: never), `solved_share` of the steps,
+            `mean_error`, `final_error` (mean over the last quarter; of one who failed before, the last),
+            means of activation, force and metabolic rates, of a free root `speed` and cost of transport
+            (these and the rates are missing where it failed), last values and means of what conditions
+            show, `duration`, `fault` (missing: none).
         settings: Task, policy, seed and so on, and the units of the results.
     """
 
@@ -268,7 +269,7 @@ class _Tally(Watcher):
         for name, entries in plan.population.entries.items():
             written = ["+".join(entry) if isinstance(entry, tuple) else entry for entry in entries]
             table[name] = np.repeat(np.array(written), plan.trials)
-        table |= {name: episode[name] for name in ("success", "failed", "return")}
+        table |= {name: episode[name] for name in ("success", "success_last", "failed", "return")}
         table |= {"time_to_solve": self._solved_at, "solved_share": self._sums["solved"] / steps}
         if self._blocks:
             late = np.divide(
@@ -304,6 +305,7 @@ class _Tally(Watcher):
             "physics": plan.setup.physics,
             "muscle": plan.setup.muscles.model,
             "device": str(scene.device),
+            "body_mass": self._signals.body_mass,
             "conditions": [condition.name for condition in self._sim.conditions],
             "columns": list(plan.population.entries),
             "units": UNITS | self._economy.units | error,
