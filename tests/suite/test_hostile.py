@@ -250,6 +250,7 @@ numerals = st.text(alphabet="0123456789.eE+-_ \t\u0661\uff11\u00b2\u00bdinfa\x00
 @given(name=st.sampled_from(NUMBERS), cell=st.one_of(numerals, st.text(max_size=8)))
 def test_cells_of_a_cohort(tmp_path, name, cell):
     """A number as people write it, in its range, or a sentence that names row and column."""
+    assume(".." not in cell)  # what is drawn
     column = COLUMNS[name]
     number = float(cell) if as_people_write_it(cell) else math.nan
     table = tmp_path / "patients.csv"
