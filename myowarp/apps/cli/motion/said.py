@@ -86,7 +86,7 @@ def at_joints(bones: Bones) -> np.ndarray:
 
 
 class Left:
-    """What a motion and its loads leave at roots, over all its parts."""
+    """Residuals of a motion, over all its parts."""
 
     found: Residuals | None = None
 
