@@ -84,7 +84,7 @@ class Residuals:
         if not loaded:
             return f"no external loads: {self.share}, carry the weight"
         left = f"more than {100.0 * SMALL:.0f} % of the weight is left at the root"
-        return f"check sign, unit and bodies of the loads: {left}"
+        return f"check sign, unit and bodies of the loads, and the filter: {left}"
 
 
 def astray(bones: Bones, needed: Needed, loads: Sequence[Load]) -> Iterator[str]:

@@ -266,10 +266,10 @@ def test_a_set_of_markers(leg):
 @pytest.mark.parametrize(("step", "tool", "message"), [
     (Forces, "InverseKinematicsTool", "OpenSim's InverseKinematicsTool; this step takes .*, AnalyzeTool"),
     (Dynamics, "InverseKinematicsTool", "OpenSim's InverseKinematicsTool; this step takes those of InverseD"),
-    (Forces, "ScaleTool", "OpenSim's ScaleTool; this step takes"),
-    (Kinematics, "ScaleTool", "OpenSim's ScaleTool; this step takes those of InverseKinematicsTool"),
+    (Forces, "ScaleTool", "OpenSim's ScaleTool; .*, steps along a motion those of InverseDynamicsTool, Ana"),
+    (Kinematics, "ScaleTool", "OpenSim's ScaleTool; kinematics takes those of InverseKinematicsTool"),
     (Kinematics, "CMCTool", "OpenSim's CMCTool; this step takes those of InverseKinematicsTool, IMU"),
-    (Dynamics, "RRATool", "OpenSim's RRATool; this step takes those of"),
+    (Dynamics, "RRATool", "OpenSim's RRATool; .*, steps along a motion those of InverseDynamicsTool"),
 ])  # fmt: skip
 def test_files_of_another_tool_are_refused(gait, step, tool, message):
     """Whose weights, times and filter were taken, or none of them, without a word."""
