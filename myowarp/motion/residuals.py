@@ -1,7 +1,7 @@
 """Residuals of a motion: what it and its loads disagree by, at joints that carry the model through space.
 
-Hicks et al. (2015), doi:10.1115/1.4029304, ask for forces below a twentieth of the greatest external one; here
-it is a twentieth of the weight.
+Hicks et al. (2015), doi:10.1115/1.4029304, ask for forces below a twentieth of the greatest external force;
+here it is a twentieth of the weight.
 """
 
 from __future__ import annotations
