@@ -1,7 +1,7 @@
 """Residuals of a motion: what it and its loads disagree by, at joints that carry the model through space.
 
-Where they are more than a twentieth of the weight, loads are rarely right: Hicks et al. (2015),
-doi:10.1115/1.4029304.
+Hicks et al. (2015), doi:10.1115/1.4029304, ask for forces below a twentieth of the greatest external force;
+here it is a twentieth of the weight.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class Residuals:
         if not loaded:
             return f"no external loads: {self.share}, carry the weight"
         left = f"more than {100.0 * SMALL:.0f} % of the weight is left at the root"
-        return f"check sign, unit and bodies of the loads: {left}"
+        return f"check sign, unit and bodies of the loads, and the filter: {left}"
 
 
 def astray(bones: Bones, needed: Needed, loads: Sequence[Load]) -> Iterator[str]:

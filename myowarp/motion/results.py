@@ -209,7 +209,7 @@ class JointMoments(AlongMotion):
 
     @property
     def residuals(self) -> Residuals:
-        """What motion and loads disagree by."""
+        """Disagreement of motion and loads, at roots."""
         return Residuals.of(self.bones, self.motion.time, self.needed.joint_moment)
 
     def rows(self) -> Iterator[Row]:
@@ -274,7 +274,7 @@ class MotionForces(AlongMotion):
 
     @property
     def residuals(self) -> Residuals:
-        """What muscles leave over at roots."""
+        """Share of roots that muscles leave over."""
         return Residuals.of(self.bones, self.motion.time, self.solved.reserve + self.solved.missing)
 
     def rows(self) -> Iterator[Row]:
@@ -316,7 +316,7 @@ class TrackedMotion(AlongMotion):
 
     @property
     def residuals(self) -> Residuals:
-        """What reserves and motors give at roots."""
+        """Share of reserves and motors at roots."""
         return Residuals.of(self.bones, self.tracked.time, self.tracked.reserve[:, 0])
 
     def put(self, tables: Tables) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from myowarp.motion.actuators import Actuators, actuators_of
 from myowarp.motion.inverse_dynamics import Load, Needed, inverse_dynamics
-from myowarp.motion.inverse_kinematics import inverse_kinematics
+from myowarp.motion.inverse_kinematics import Fitted, inverse_kinematics
 from myowarp.motion.joint_reactions import joint_reactions
 from myowarp.motion.loads import Loads, prescribed_loads
 from myowarp.motion.markers import Markers, MarkerStream, read_trc
@@ -42,7 +42,11 @@ from myowarp.osim.body.hill_muscle import HillMuscle, known
 from myowarp.osim.body.model_forces import open_loops
 from myowarp.osim.body.muscle_paths import MusclePaths, muscle_paths
 from myowarp.osim.body.skeleton import Bones
+from myowarp.osim.document.kinematics import complete, floating, forward
 from myowarp.process import warn_once
+
+TIPPED = 45.0
+"""Angle from its default vertical beyond which a root is doubted [degrees]."""
 
 logger = logging.getLogger("myowarp")
 
@@ -82,6 +86,8 @@ def _angles(bones: Bones, setup: TrialSetup, whole: bool) -> Iterator[JointAngle
         gaps = gaps.after(seen, recorded)
         wanted = _targets(bones, setup, held, recorded)
         fitted = inverse_kinematics(bones, recorded, **wanted, start=start)
+        if start is None:
+            say_tipped(bones, fitted)
         start = dict(zip(fitted.coordinates, fitted.values[-1], strict=True))
         yield JointAngles(bones, fitted, recorded, wanted, gaps, total)
 
@@ -93,7 +99,8 @@ def _marker_parts(setup: TrialSetup, whole: bool) -> Iterator[tuple[Markers, Mar
         seen = read_trc(path)
         recorded = seen if fill is None else seen.filled(fill)
         if span is not None:
-            seen, recorded = seen.between(*span), recorded.between(*span)
+            seen = seen.between(*span)
+            recorded = recorded.between(seen.time[0], seen.time[-1])
         yield seen, recorded, None
         return
     begin, end = span or (-np.inf, np.inf)
@@ -155,7 +162,28 @@ def kinematics_of_sensors(bones: Bones, setup: TrialSetup) -> JointAngles:
     recorded = read_orientations(setup.orientations).turned(axes_of_sensors(setup.sensor_angles))
     if setup.span is not None:
         recorded = recorded.between(*setup.span)
-    return JointAngles(bones, orientation_kinematics(bones, recorded, setup.sensor_weights))
+    fitted = orientation_kinematics(bones, recorded, setup.sensor_weights)
+    say_tipped(bones, fitted)
+    return JointAngles(bones, fitted)
+
+
+def say_tipped(bones: Bones, fitted: Fitted) -> None:
+    """Say which body at a free root is far from its default vertical, in each of 100 frames or more."""
+    model, rows = bones.model, fitted.values[:: max(1, len(fitted.time) // 100)]
+    names, gravity = fitted.coordinates, float(np.linalg.norm(model.gravity))
+    roots = dict.fromkeys(model.coordinates[name].joint for name in floating(model))
+    if not roots or not gravity:
+        return
+    defaults, up = np.array([[model.coordinates[name].default for name in names]]), -model.gravity / gravity
+    stands, lies = (
+        forward(model, complete(model, dict(zip(names, part.T, strict=True)), len(part)))
+        for part in (defaults, rows)
+    )
+    for body in (model.joints[joint].child for joint in roots):
+        lean = np.degrees(np.arccos(np.clip(lies[body][0] @ stands[body][0][0].T @ up @ up, -1.0, 1.0)))
+        if lean.min() > TIPPED:
+            least = f"the {body} is tipped by {lean.min():.0f} degrees at least, in every frame"
+            logger.warning("%s; check which axis of the recording is up, unless the person lies", least)
 
 
 @dataclass(frozen=True, eq=False)

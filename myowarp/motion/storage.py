@@ -415,7 +415,7 @@ def within(time: np.ndarray, start: float, end: float) -> np.ndarray:
 
 
 def rows_between(time: np.ndarray, start: float, end: float, whose: str) -> np.ndarray:
-    """Return what `within` does; `whose` times they are, and its verb, is for the error.
+    """Return what `within` does, and say what is not there; `whose` times they are, and its verb, is for it.
 
     Raises:
         ValueError: There is none.
@@ -425,7 +425,23 @@ def rows_between(time: np.ndarray, start: float, end: float, whose: str) -> np.n
         raise ValueError(
             f"no frame between {start:g} and {end:g} s; the {whose} from {time[0]:g} to {time[-1]:g} s"
         )
+    say_cut(float(time[0]), float(time[-1]), len(time), (start, end), whose)
     return kept
+
+
+def say_cut(first: float, last: float, count: int, span: tuple[float, float], whose: str) -> None:
+    """Say that a span begins or ends more than a frame outside of the times that are there, where it does.
+
+    Args:
+        first: The first time that is there [s].
+        last: The last one.
+        count: Of frames.
+        span: First and last time that are wanted [s], of which either may be infinite.
+        whose: Times they are, and its verb.
+    """
+    (start, end), frame = span, (last - first) / max(count - 1, 1) + 1e-9
+    if -np.inf < start < first - frame or last + frame < end < np.inf:
+        logger.warning("of %g to %g s, the %s only from %g to %g s", start, end, whose, first, last)
 
 
 def check_apart(path: Path, what: str, time: np.ndarray, number: np.ndarray) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from myowarp.motion.smooth import check_cutoff
-from myowarp.motion.storage import Rows, Storage, check_apart
+from myowarp.motion.storage import Rows, Storage, check_apart, say_cut
 
 FRAMES = 16384
 """Rows of a part; a longer file is read in parts."""
@@ -86,10 +86,13 @@ class Stream(Rows):
         """
         begin, end = (-np.inf, np.inf) if span is None else (span[0] - 1e-9, span[1] + 1e-9)
         inside = total = 0
+        first, last = np.inf, -np.inf
         for line in self._lines:
             if span is not None:
                 try:
-                    inside += begin <= self._time(line) <= end
+                    time = self._time(line)
+                    inside += begin <= time <= end
+                    first, last = min(first, time), max(last, time)
                 except (ValueError, IndexError):
                     self._read = total
                     self._numbers([line])  # says what is wrong
@@ -101,6 +104,7 @@ class Stream(Rows):
             return total
         if not inside:
             raise ValueError(f"no frame of {str(self.path)!r} is between {span[0]:g} and {span[1]:g} s")
+        say_cut(first, last, total, span, "recording is")
         return inside
 
     def _more(self, count: int) -> None:

@@ -11,7 +11,7 @@ import math
 from pathlib import Path
 
 from myowarp.motion.orientations import angles_in
-from myowarp.motion.setup import TrialSetup
+from myowarp.motion.setup import MOTIONS, POSES, TrialSetup
 from myowarp.motion.setup_words import Span, file_of, files_of, in_order, span_of
 from myowarp.motion.tasks import tasks_of
 from myowarp.osim.document.read.element import Element, parse
@@ -41,7 +41,8 @@ def read_tool_setup(path: Path) -> TrialSetup:
     other = next((element.tag for element in root.walk() if element.tag.endswith("Tool")), "")
     if tool is None and other:
         raise root.error(
-            f"is a set-up file of OpenSim's {other}; this step takes those of {', '.join(TOOLS)}"
+            f"is a set-up file of OpenSim's {other}; kinematics takes those of {', '.join(POSES)}, steps "
+            f"along a motion those of {', '.join(MOTIONS)}"
         )
     if tool is None and any(element.tag == "IKTaskSet" for element in root.walk()):
         return TrialSetup(path, "IKTaskSet", tasks=tasks_of(root), sources=(path,))

@@ -405,8 +405,8 @@ def test_what_loads_leave_at_the_root_is_said(tmp_path, caplog, capsys, factor, 
     said = [record.getMessage() for record in caplog.records]
     worst = rf"{abs(1.0 - factor) * weight:.0f} N \({share} % of the weight\) at pelvis_t[xy], at \S+ s"
     assert re.search(rf"residuals at the root: {worst}; \S+ N m at pelvis_tilt", capsys.readouterr().err)
-    doubt = "check sign, unit and bodies of the loads: more than 5 % of the weight is left at the root"
-    expected = [doubt] if share > 5 else []
+    doubt = "check sign, unit and bodies of the loads, and the filter: more than 5 % of the weight is left at"
+    expected = [f"{doubt} the root"] if share > 5 else []
     if off > 0.5:
         expected.append(f"the centre of pressure of 'ground' is {off} m from calcn_r: wrong foot or unit[?]")
     assert len(said) == len(expected)

@@ -1,6 +1,7 @@
 """Set-up files of OpenSim's tools, sets of markers, gaps and rows out of order, through `myowarp motion`."""
 
 import logging
+import re
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,11 @@ import pytest
 from myowarp.apps.cli.motion.dynamics import Dynamics
 from myowarp.apps.cli.motion.forces import Forces
 from myowarp.apps.cli.motion.kinematics import Kinematics
+from myowarp.motion import streams
 from myowarp.motion.markers import Markers, read_trc, write_trc
 from myowarp.motion.movement import read_motion, write_angles
-from myowarp.motion.steps import dynamics, kinematics
+from myowarp.motion.setup import TrialSetup
+from myowarp.motion.steps import dynamics, kinematics, moved_in_parts
 from myowarp.motion.storage import Storage, read_storage, write_storage
 from myowarp.motion.tool_setup import read_tool_setup
 from myowarp.osim.body.skeleton import Bones
@@ -200,6 +203,46 @@ def test_kinematics_of_a_set_up_file(leg):
     assert np.abs(there["fitted"][:, knee] - held[:, knee]).max() > 0.01
 
 
+@pytest.mark.parametrize(("tip", "said"), [(0.0, False), (25.0, False), (-70.0, True), (90.0, True)])
+def test_a_model_that_lies_is_named(leg, caplog, tip, said):
+    """Markers about another vertical axis fit as well: the root turns with them."""
+    folder, there, names = leg
+    c, s = np.cos(np.radians(tip)), np.sin(np.radians(tip))
+    turned = there["seen"] @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    write_trc(folder / "tipped.trc", Markers(names, there["time"], turned))
+    bones = Bones.read(LEG)
+    with caplog.at_level(logging.WARNING):
+        kinematics(bones, TrialSetup(markers=folder / "tipped.trc"))
+    texts = [record.getMessage() for record in caplog.records if "tipped by" in record.getMessage()]
+    tilt = np.degrees(there["fitted"][:, bones.coordinates.index("pelvis_tilt")])
+    least = np.abs(tilt + tip - np.degrees(bones.model.coordinates["pelvis_tilt"].default)).min()
+    sentence = "degrees at least, in every frame; check which axis of the recording is up, unless"
+    assert [text.split(" by ")[0] for text in texts] == ["the pelvis is tipped"] * said
+    for text in texts:
+        assert sentence in text
+        assert float(re.search(r"by (\d+)", text)[1]) == pytest.approx(least, abs=2.0)
+
+
+@pytest.mark.parametrize(("span", "said"), [
+    ((0.5, 9.0), "of 0.5 to 9 s, the motion is only from 0 to 1 s"),
+    ((-3.0, 0.5), "of -3 to 0.5 s, the motion is only from 0 to 1 s"),
+    ((0.0, 1.01), ""), ((-np.inf, np.inf), ""), ((0.2, 0.8), ""),
+])  # fmt: skip
+def test_times_that_are_not_there_are_said(gait, monkeypatch, caplog, span, said):
+    """Of a short motion and of a long one; a frame's breadth is nothing."""
+    folder, there = gait
+    assert (there["time"][0], there["time"][-1]) == (0.0, 1.0)
+    bones, setup = Bones.read(GAIT), TrialSetup(motion=folder / "motion.mot", span=span)
+    for rows in (streams.FRAMES, 16):
+        monkeypatch.setattr(streams, "FRAMES", rows)
+        caplog.clear()
+        with caplog.at_level(logging.WARNING):
+            list(moved_in_parts(bones, setup))
+        whose = "recording" if rows == 16 else "motion"
+        expected = [said.replace("motion", whose)] if said else []
+        assert [record.getMessage() for record in caplog.records] == expected
+
+
 def test_a_set_of_markers(leg):
     """A marker that is elsewhere on its body is where the set says."""
     folder, there, names = leg
@@ -223,10 +266,10 @@ def test_a_set_of_markers(leg):
 @pytest.mark.parametrize(("step", "tool", "message"), [
     (Forces, "InverseKinematicsTool", "OpenSim's InverseKinematicsTool; this step takes .*, AnalyzeTool"),
     (Dynamics, "InverseKinematicsTool", "OpenSim's InverseKinematicsTool; this step takes those of InverseD"),
-    (Forces, "ScaleTool", "OpenSim's ScaleTool; this step takes"),
-    (Kinematics, "ScaleTool", "OpenSim's ScaleTool; this step takes those of InverseKinematicsTool"),
+    (Forces, "ScaleTool", "OpenSim's ScaleTool; .*, steps along a motion those of InverseDynamicsTool, Ana"),
+    (Kinematics, "ScaleTool", "OpenSim's ScaleTool; kinematics takes those of InverseKinematicsTool"),
     (Kinematics, "CMCTool", "OpenSim's CMCTool; this step takes those of InverseKinematicsTool, IMU"),
-    (Dynamics, "RRATool", "OpenSim's RRATool; this step takes those of"),
+    (Dynamics, "RRATool", "OpenSim's RRATool; .*, steps along a motion those of InverseDynamicsTool"),
 ])  # fmt: skip
 def test_files_of_another_tool_are_refused(gait, step, tool, message):
     """Whose weights, times and filter were taken, or none of them, without a word."""

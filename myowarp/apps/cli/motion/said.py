@@ -86,7 +86,7 @@ def at_joints(bones: Bones) -> np.ndarray:
 
 
 class Left:
-    """What a motion and its loads leave at roots, over all its parts."""
+    """Residuals of a motion, over all its parts."""
 
     found: Residuals | None = None
 
@@ -99,17 +99,18 @@ class Left:
         return [] if self.found is None else self.found.lines()
 
 
-class Lacking(Left):
+class Lacking:
     """The moments of a motion that muscles could not provide, over all its parts."""
 
     def __init__(self) -> None:
         """Begin with none."""
+        self.left = Left()
         self.frames, self.missed, self.full = 0, 0, Counter[str]()
         self.most: dict[str, np.ndarray] = {}
 
     def add(self, part: MotionForces) -> None:
         """Count a part."""
-        super().add(part)
+        self.left.add(part)
         self.bones, found = part.bones, part.solved
         self.frames += len(found.feasible)
         self.missed += int((~found.feasible).sum())
@@ -120,7 +121,7 @@ class Lacking(Left):
 
     def lines(self) -> list[str]:
         """Return what muscles could not do; what they need not, at roots, is apart."""
-        lines = super().lines()
+        lines = self.left.lines()
         if self.missed:
             lines.append(
                 f"muscles cannot hold {self.missed} of {self.frames} frames; missing.sto has what is left"
