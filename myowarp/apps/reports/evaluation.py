@@ -48,7 +48,7 @@ SUCCESSES = {
     "success_any": "solved at any step",
 }
 FAR = 0.25
-"""How much less often a step is solved at the end than an episode succeeds, for it to be said."""
+"""Least share of episodes that succeed and are not solved at the end, from which on it is told."""
 EVALUATION_SEED = 1_000_000  # other worlds than those of training
 MODES = ("deterministic", "sampled")
 

@@ -40,7 +40,7 @@ RADIUS = 0.04
 """Of the sphere that the mass is [m]."""
 LONGEST_DELAY = 10.0  # s
 PRELOAD = 0.5 * math.pi
-"""How far beyond the joint's range a spring may rest [rad]; what is farther is said in degrees."""
+"""Distance beyond the joint's range at which a spring may rest [rad]; farther ones are taken for degrees."""
 
 Profile = tuple[tuple[float, float], ...]
 
@@ -197,7 +197,7 @@ def _is_number(number: object) -> bool:
 
 
 class Limb(NamedTuple):
-    """What a joint turns.
+    """A limb that a joint turns.
 
     Attributes:
         name: Of the body.
