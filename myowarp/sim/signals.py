@@ -172,8 +172,7 @@ class Signals:
         scene, data = shard.scene, shard.scene.data
         with wp.ScopedDevice(scene.device):
             metabolics = Metabolics(scene)
-        compute = present_muscles(scene, shard.program.bring_paths)
-        sources = _sources(shard, shard.shown) | metabolics.whole_body
+        compute, sources = present_muscles(scene), _sources(shard, shard.shown) | metabolics.whole_body
 
         def launch(mask: wp.array | None) -> None:
             compute()

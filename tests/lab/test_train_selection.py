@@ -8,6 +8,8 @@ import json
 import os
 import signal
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -58,6 +60,7 @@ def scripted(monkeypatch):
         return Found(success, success / 2, returns)
 
     monkeypatch.setattr(selection, "evaluate", found)
+    monkeypatch.setattr(selection, "bind", lambda checkpoint, sim: SimpleNamespace(checkpoint=checkpoint))
     monkeypatch.setattr(selection.Selection, "_build", lambda self: Nothing())
     return wanted, policies
 
