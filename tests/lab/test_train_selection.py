@@ -7,7 +7,6 @@ import io
 import json
 import os
 import signal
-
 from types import SimpleNamespace
 
 import numpy as np
