@@ -218,6 +218,28 @@ def weigh_feet(
     wp.atomic_add(load, worldid, wp.max(first, second), force * per_weight)
 
 
+@wp.func
+def sense_trunk(turn: wp.quat, qvel: wp.array[float]) -> Senses:
+    """Senses of a trunk with the turn R; those of the legs are 0.
+
+    With ahead = R x, left = R y, up = R z: pitch = -asin(ahead_z), roll = atan2(left_z, up_z), and speeds
+    along and across the horizontal part of ahead.
+    """
+    ahead = wp.quat_rotate(turn, wp.vec3(1.0, 0.0, 0.0))
+    left = wp.quat_rotate(turn, wp.vec3(0.0, 1.0, 0.0))
+    up = wp.quat_rotate(turn, wp.vec3(0.0, 0.0, 1.0))
+    heading = wp.normalize(wp.vec2(ahead[0], ahead[1]))
+    velocity = wp.vec2(qvel[0], qvel[1])
+    s = Senses()
+    s.pitch = real(-wp.asin(wp.clamp(ahead[2], -1.0, 1.0)))
+    s.roll = real(wp.atan2(left[2], up[2]))
+    s.roll_rate = real(qvel[3])
+    s.pitch_rate = real(qvel[4])
+    s.speed_ahead = real(wp.dot(heading, velocity))
+    s.speed_left = real(heading[0] * velocity[1] - heading[1] * velocity[0])
+    return s
+
+
 @wp.kernel(enable_backward=False)
 def sense_legs(
     # Params:
@@ -234,27 +256,12 @@ def sense_legs(
     # Out:
     senses: wp.array2d[Senses],
 ):
-    """Senses of the present state; at the begin of an episode the straighter leg bears the weight.
-
-    With the root's turn R, ahead = R x, left = R y: pitch = -asin(ahead_z), roll = atan2(left_z, up_z), and
-    speeds along and across the horizontal part of ahead.
-    """
+    """Senses of the present state; at the begin of an episode the straighter leg bears the weight."""
     worldid = wp.tid()
     turn = wp.normalize(
         wp.quat(qpos_in[worldid, 4], qpos_in[worldid, 5], qpos_in[worldid, 6], qpos_in[worldid, 3])
     )
-    ahead = wp.quat_rotate(turn, wp.vec3(1.0, 0.0, 0.0))
-    left = wp.quat_rotate(turn, wp.vec3(0.0, 1.0, 0.0))
-    up = wp.quat_rotate(turn, wp.vec3(0.0, 0.0, 1.0))
-    heading = wp.normalize(wp.vec2(ahead[0], ahead[1]))
-    velocity = wp.vec2(qvel_in[worldid, 0], qvel_in[worldid, 1])
-    s = Senses()
-    s.pitch = real(-wp.asin(wp.clamp(ahead[2], -1.0, 1.0)))
-    s.roll = real(wp.atan2(left[2], up[2]))
-    s.roll_rate = real(qvel_in[worldid, 3])
-    s.pitch_rate = real(qvel_in[worldid, 4])
-    s.speed_ahead = real(wp.dot(heading, velocity))
-    s.speed_left = real(heading[0] * velocity[1] - heading[1] * velocity[0])
+    s = sense_trunk(turn, qvel_in[worldid])
     straight, right_angle = real(wp.pi), real(wp.half_pi)
     hip, hip_rate, spread, ankle = wp.vec2d(), wp.vec2d(), wp.vec2d(), wp.vec2d()
     knee, knee_rate, weight = wp.vec2d(), wp.vec2d(), wp.vec2d()

@@ -24,6 +24,7 @@ from myowarp.apps.reports.table import number
 from myowarp.inks import BLUE, VERMILION
 from myowarp.motion.gait import side_of
 from myowarp.motion.storage import Storage, read_storage
+from myowarp.motion.strides import GRAVITY
 from myowarp.motion.units import Angles
 from myowarp.osim.document.kinematics import floating
 from myowarp.osim.document.model import Model
@@ -38,7 +39,6 @@ NOTHING = 1e-3
 FULL = 0.999
 """Activation from which a muscle is fully active."""
 LISTED, DRAWN, COLUMNS, DPI = 12, 24, 6, 110
-GRAVITY = 9.80665  # m/s^2
 REACTION = re.compile(r"(?P<joint>.+)_on_.+_in_.+_(?P<kind>[fmp])[xyz]")
 """Labels of joint reactions, as OpenSim writes them."""
 SIDES: dict[str, tuple[str, str, Literal["-", "--"]]] = {
