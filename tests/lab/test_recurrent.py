@@ -24,6 +24,7 @@ from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
 from myowarp.disk import plain
 from myowarp.sim.simulation import Simulation
+from myowarp.view.browser.session import Session
 
 NUM_OBS, NUM_ACTIONS, UNITS, WORLDS, STEPS = 7, 3, 5, 8, 12
 SAME = 1e-6
@@ -272,6 +273,25 @@ def test_a_memory_ends_with_its_episode_wherever_a_policy_acts(elbow):
         kept = LearnedPolicy(load_checkpoint(elbow))
         alone = np.array([kept(obs, np.ones(4, bool)) for obs in trace.arrays["obs"][part]])
         assert (alone[1:] != np.array(expected)[1:]).any()
+
+
+def test_the_twin_of_a_page_remembers_what_the_shown_world_does(elbow):
+    """Of the same memory, the policy does the same in the same state."""
+    setup, twin = Setup(task=TASKS[TASK], device="cpu", seed=1), 2
+    policy = find_policy(str(elbow), TASKS[TASK])
+    session = Session(TASK, setup, twin, "remembers", lambda _, sim: acting(policy, sim))
+    for _ in range(6):
+        session.step()
+    before = session.sim.action.numpy().copy()
+    session.show(1)
+    session.step()
+    after = session.sim.action.numpy().copy()
+    assert (before[1] != before[twin]).any()
+    assert np.array_equal(after[1], after[twin])
+    forgetful = LearnedPolicy(load_checkpoint(elbow))
+    fresh = forgetful(session.sim.transition.obs.numpy())
+    session.step()
+    assert (np.abs(fresh[1] - session.sim.action.numpy()[1]) > 1e-4).any()
 
 
 AGENT = """

@@ -110,6 +110,25 @@ def test_delays_last_whole_control_steps():
     assert Delays(0.03, 0.0, 0.029).steps(0.01) == (3, 0, 2)
 
 
+def test_a_world_may_go_on_as_another_one(sim):
+    """With its senses on their way to the spine, and in its phase."""
+    values, delays = unscaled(ONES)[None], Delays(0.03, 0.03, 0.03)
+    sim.reset()
+    control, felt = ReflexControl(values, delays, sim), np.random.default_rng(0)
+    for _ in range(4):  # a world that lies and one that stands
+        qpos = np.tile(TASKS[TASK].start_pose, (2, 1))
+        qpos[1, 2] += 1.0
+        sim.scene.data.qpos.assign(qpos.astype(np.float32))
+        sim.scene.data.qvel.assign(felt.normal(size=(2, sim.scene.oracle.nv)).astype(np.float32))
+        control(np.zeros((2, 1)))
+        sim.episode.step_count.assign(sim.episode.step_count.numpy() + 1)
+    apart = control(np.zeros((2, 1)))
+    control.copy(0, 1)
+    alike = control(np.zeros((2, 1)))
+    assert np.abs(apart[0] - apart[1]).max() > 0.01
+    assert np.array_equal(alike[0], alike[1])
+
+
 def test_rotators_resist_the_rotation_of_the_hip(record):
     arrays, senses = record
     values = unscaled(arrays["parameter"])

@@ -14,7 +14,7 @@ import numpy as np
 from myowarp.apps.policies.baselines import policy_folder
 from myowarp.apps.policies.checkpoint import Checkpoint
 from myowarp.apps.policies.hold import Hold, check_hold
-from myowarp.apps.policies.learned import Act, begins, bind, read_policy
+from myowarp.apps.policies.learned import Act, Bound, begins, read_policy
 from myowarp.apps.policies.muscle_control import MuscleControl, check_muscle_control
 from myowarp.apps.policies.reflex import Gait, ReflexControl, is_gait, read_gait
 from myowarp.apps.policies.replay import Replay, is_replay
@@ -105,7 +105,7 @@ def acting(policy: Policy, sim: Simulation) -> Act:
     """
     act, scene = policy.act, sim.scene
     if policy.checkpoint is not None:
-        return bind(policy.checkpoint, sim)
+        return Bound(policy.checkpoint, sim)
     if policy.excitations is not None:
         return Replay(policy.name, policy.excitations, sim)
     if policy.gait is not None:

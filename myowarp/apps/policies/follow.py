@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from myowarp.apps.policies.checkpoint import FOLDER, CheckpointError, find_folder, load_checkpoint
-from myowarp.apps.policies.learned import bind
+from myowarp.apps.policies.learned import Bound
 from myowarp.process import warn_once
 from myowarp.sim.simulation import Simulation
 
@@ -40,7 +40,7 @@ class Following:
         """
         self._run, self._sim = run, sim
         self.checkpoint = load_checkpoint(run)
-        self._act = bind(self.checkpoint, sim)
+        self._act = Bound(self.checkpoint, sim)
         self._looked = time.monotonic()
         self._bad: Path | None = None
 
@@ -51,6 +51,10 @@ class Following:
             self._renew()
         return self._act(obs)
 
+    def copy(self, source: int, target: int) -> None:
+        """Let a world remember what another one does."""
+        self._act.copy(source, target)
+
     def _renew(self) -> None:
         """Let the newest checkpoint act, if it is another one, whole and fitting."""
         try:
@@ -59,6 +63,6 @@ class Following:
                 return
             self._bad = newest
             checkpoint = load_checkpoint(self._run)
-            self._act, self.checkpoint, self._bad = bind(checkpoint, self._sim), checkpoint, None
+            self._act, self.checkpoint, self._bad = Bound(checkpoint, self._sim), checkpoint, None
         except (CheckpointError, OSError) as error:
             warn_once(f"{error}; checkpoint {self.checkpoint.folder.name} acts on")

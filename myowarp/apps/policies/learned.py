@@ -119,6 +119,11 @@ class LearnedPolicy:
         mean, log_std = np.split(x, 2, axis=1)
         return np.tanh(self._drawn(mean, log_std)).astype(np.float32)
 
+    def copy(self, source: int, target: int) -> None:
+        """Let a row remember what another one does."""
+        if len(self._remembered):
+            self._remembered[target] = self._remembered[source]
+
     def _after(self, x: np.ndarray, memory: np.ndarray) -> np.ndarray:
         """Return the memory after a step, as of `myowarp.apps.train.recurrent`."""
         of_x, of_memory, x_bias, memory_bias = self.memory
@@ -165,29 +170,34 @@ def read_policy(name: str, folder: Path, spec: TaskSpec) -> Checkpoint:
     return checkpoint
 
 
-def bind(checkpoint: Checkpoint, sim: Simulation, sampled: Setup | None = None) -> Act:
-    """Return the policy of a checkpoint for a simulation; `sampled` as in `LearnedPolicy`.
+class Bound:
+    """A learned policy in a simulation: observations (num_worlds, obs_size) to actions.
 
     Of the senses it sees its own, whatever else the worlds observe; parameters it is told in any case.
-
-    Raises:
-        CheckpointError: Observations or actuators are other ones.
     """
-    check_contract(checkpoint, sim)
-    learned, own = LearnedPolicy(checkpoint, sampled), checkpoint.manifest["contract"]["columns"]
 
-    def policy(obs: np.ndarray) -> np.ndarray:
-        return learned(obs, begins(sim) if learned.memory else None)
+    def __init__(self, checkpoint: Checkpoint, sim: Simulation, sampled: Setup | None = None) -> None:
+        """Arrange what it sees; `sampled` as in `LearnedPolicy`.
 
-    wanted = [name for name, *_ in own if name in SENSES]
-    if wanted == [column.name for column in sim.columns if column.name in SENSES]:
-        return policy
-    blocks = sim.blocks
-    first = sum(column.size for column in sim.columns if column.name not in SENSES)
-    untold = PARAMETERS in wanted and PARAMETERS not in blocks
-    told = [Told(shard.scene, shard.clock) for shard in sim.shards if untold]
+        Raises:
+            CheckpointError: Observations or actuators are other ones.
+        """
+        check_contract(checkpoint, sim)
+        self._learned, self._sim = LearnedPolicy(checkpoint, sampled), sim
+        own = [name for name, *_ in checkpoint.manifest["contract"]["columns"] if name in SENSES]
+        others = sum(column.size for column in sim.columns if column.name not in SENSES)
+        same = own == [column.name for column in sim.columns if column.name in SENSES]
+        self._blocks = [slice(None)] if same else [slice(others), *(sim.blocks.get(name) for name in own)]
+        untold = PARAMETERS in own and PARAMETERS not in sim.blocks
+        self._told = [Told(shard.scene, shard.clock) for shard in sim.shards if untold]
 
-    def seen(obs: np.ndarray, sense: str) -> np.ndarray:
-        return obs[:, blocks[sense]] if sense in blocks else np.concatenate([shard.now() for shard in told])
+    def __call__(self, obs: np.ndarray) -> np.ndarray:
+        """Return actions, shape (num_worlds, num_actions)."""
+        told = [shard.now() for shard in self._told]
+        seen = [np.concatenate(told) if block is None else obs[:, block] for block in self._blocks]
+        obs = np.concatenate(seen, axis=1) if len(seen) > 1 else seen[0]
+        return self._learned(obs, begins(self._sim) if self._learned.memory else None)
 
-    return lambda obs: policy(np.concatenate([obs[:, :first], *(seen(obs, s) for s in wanted)], axis=1))
+    def copy(self, source: int, target: int) -> None:
+        """Let a world remember what another one does."""
+        self._learned.copy(source, target)

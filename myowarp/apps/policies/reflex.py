@@ -416,3 +416,12 @@ class ReflexControl:
         action = np.zeros((len(told), scene.num_actions), dtype=np.float32)
         action[:, muscles.actuator_id] = action_of(excitation, scene.spec.linear_excitation)
         return action
+
+    def copy(self, source: int, target: int) -> None:
+        """Let a world have felt what another one of its shard has, and be in its phase."""
+        for legs in self._legs:
+            own = legs.shard.scene.worlds.own
+            if own.start <= source < own.stop and own.start <= target < own.stop:
+                for array in (legs.senses, legs.phase):
+                    rows, size = (target - own.start, source - own.start), array.shape[1]
+                    wp.copy(array, array, rows[0] * size, rows[1] * size, size)

@@ -25,7 +25,7 @@ from myowarp.apps.policies.checkpoint import (
     load_checkpoint,
     trained_setup,
 )
-from myowarp.apps.policies.learned import bind
+from myowarp.apps.policies.learned import Bound
 from myowarp.apps.reports.intervals import wilson
 from myowarp.apps.rollouts.episodes import Episodes, are_one
 from myowarp.apps.rollouts.ranks import ALONE, Ranks
@@ -290,7 +290,7 @@ def evaluate_policy(job: EvaluationJob) -> tuple[dict[str, Any], dict[str, dict[
         sim = Simulation(setup, number, autoreset="same_step")
         signals = Signals(sim) if sim.scene.muscles.names else None
         for mode in job.modes:
-            act = bind(checkpoint, sim, setup if mode == "sampled" else None)
+            act = Bound(checkpoint, sim, setup if mode == "sampled" else None)
             figures = evaluate(sim, act, signals=signals, title=mode, console=console, ranks=ranks)
             results[mode] = dataclasses.asdict(figures)
         sim.close()

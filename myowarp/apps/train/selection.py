@@ -16,7 +16,7 @@ import numpy as np
 from rich.console import Console
 
 from myowarp.apps.policies.checkpoint import Checkpoint
-from myowarp.apps.policies.learned import bind
+from myowarp.apps.policies.learned import Bound
 from myowarp.apps.reports.evaluation import evaluate
 from myowarp.apps.train.plan import Job, shown
 from myowarp.definitions.condition import Condition
@@ -71,7 +71,7 @@ class Selection:
         job, quiet = self._job, Console(quiet=True)
         if self._sim is None:
             self._sim = self._build()
-        act = bind(Checkpoint(job.folder, dict(manifest), dict(policy)), self._sim)
+        act = Bound(Checkpoint(job.folder, dict(manifest), dict(policy)), self._sim)
         figures = dataclasses.asdict(evaluate(self._sim, act, console=quiet, ranks=job.ranks))
         self.last = Score(samples, figures[job.settings.stop_rule], figures["return_mean"])
         if self.best and (self.best.success, self.best.returns) >= (self.last.success, self.last.returns):

@@ -27,7 +27,10 @@ from myowarp.sim.state import get_state, place, set_state
 from myowarp.view.drawing.snapshot import Snapshot, snapshot
 
 Act = Callable[[np.ndarray], np.ndarray]
-"""Observations (num_worlds, obs_size) to actions (num_worlds, num_actions) in [-1, 1]."""
+"""Observations (num_worlds, obs_size) to actions (num_worlds, num_actions) in [-1, 1].
+
+One that remembers has `copy(source, target)`, too: a world remembers what another one does.
+"""
 
 HEALTHY = "as it began"
 """The patient without a preset: what the command's conditions say."""
@@ -187,11 +190,12 @@ class Session:
         self.match()
 
     def match(self) -> None:
-        """Put the twin into the state of the shown world; its conditions stay its own."""
+        """Put the twin into the state of the shown world, as its policy remembers it; its conditions stay."""
         set_state(self.sim, get_state(self.sim, self.world), self.twin, conditions=False)
         self.returns[self.twin] = self.returns[self.world]
-        if self.economy is not None:
-            self.economy.copy(self.world, self.twin)
+        for remembering in (self.economy, self._act):
+            if hasattr(remembering, "copy"):
+                remembering.copy(self.world, self.twin)
 
     def turn(self, knob: Knob, value: float, muscles: Sequence[str]) -> None:
         """Change the patient in all worlds but the twin.

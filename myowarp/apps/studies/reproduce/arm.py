@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from myowarp.apps.policies.checkpoint import Checkpoint
-from myowarp.apps.policies.learned import bind
+from myowarp.apps.policies.learned import Bound
 from myowarp.apps.rollouts.run import Each, Step, run
 from myowarp.apps.studies.reproduce.experiment import Lab, Tick
 from myowarp.apps.studies.reproduce.policies import Training
@@ -111,7 +111,7 @@ def follow(
         still: Worlds whose motor, the last actuator, gets no command, shape (N,); None: all get theirs.
     """
     sim = signals.sim
-    acting = [(bind(checkpoint, sim), worlds) for checkpoint, worlds in policies]
+    acting = [(Bound(checkpoint, sim), worlds) for checkpoint, worlds in policies]
     if seeds is not None:
         sim.reset(seeds=seeds)
     steps, num_worlds = round(seconds / CONTROL_DT), sim.num_worlds
