@@ -18,7 +18,7 @@ from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
 
-ELBOW, FINGER = "myoElbowPose1D6MRandom-v0", "myoFingerReachFixed-v0"
+ELBOW, FINGER, LEGS = "myoElbowPose1D6MRandom-v0", "myoFingerReachFixed-v0", "myoLegWalk-v0"
 WORLDS, HORIZON = 6, 40
 FLOAT32 = 1e-6
 
@@ -61,26 +61,36 @@ def test_a_bonus_is_paid_in_training_and_counted_nowhere():
     np.testing.assert_array_equal(*episodes)
 
 
-def test_precision_is_one_at_the_target_and_nothing_beyond_what_counts():
-    """max(0, 1 - |targets - tips| / near), by positions that MuJoCo C computes, of a finger that reaches."""
-    setup = Setup(task=FINGER, device="cpu", seed=0)
+def tips_away(env, data, arrays, world):
+    """Return the distance between targets and tips."""
+    spec, model = env.sim.scene.spec, env.sim.scene.oracle
+    data.qpos[:] = arrays["data.qpos"][world]
+    mujoco.mj_kinematics(model, data)
+    tips = np.array([data.site(name).xpos for name in spec.tips])
+    return np.linalg.norm(arrays["task.target"][world] - tips.ravel())
+
+
+def angles_away(env, data, arrays, world):
+    """Return the norm of the differences of angles; all joints of the elbow have a target."""
+    return np.linalg.norm(arrays["task.target"][world] - arrays["data.qpos"][world])
+
+
+@pytest.mark.parametrize(("task", "away"), [(FINGER, tips_away), (ELBOW, angles_away)])
+def test_precision_is_one_at_the_target_and_nothing_beyond_what_counts(task, away):
+    """max(0, 1 - error / near), by positions that MuJoCo C computes where tips reach."""
+    setup = Setup(task=task, device="cpu", seed=0)
     how = {"autoreset_mode": "disabled", "output": "torch", "copy": False, "progress": False}
     env = MyoWarpVectorEnv(setup, 2, **how)
-    spec, model = env.sim.scene.spec, env.sim.scene.oracle
-    assert spec.near == pytest.approx(0.0125 * len(spec.tips))
+    spec, seen = env.sim.scene.spec, []
     obs, _ = env.reset(seed=0)
-    act, data, seen = acting(find_policy("muscle-control", spec), env.sim), mujoco.MjData(model), []
+    act, data = acting(find_policy("muscle-control", spec), env.sim), mujoco.MjData(env.sim.scene.oracle)
     for _ in range(80):
         obs, *_, info = env.step(torch.from_numpy(act(obs.numpy().copy())).float())
         arrays = env.get_state().arrays
         for world in range(2):
-            data.qpos[:] = arrays["data.qpos"][world]
-            mujoco.mj_kinematics(model, data)
-            tips = np.array([data.site(name).xpos for name in spec.tips])
-            away = np.linalg.norm(arrays["task.target"][world] - tips.ravel())
-            got = bonus.value("precision", info, spec)[world].item()
-            assert got == pytest.approx(max(0.0, 1.0 - away / spec.near), abs=1e-4)
-            seen.append(got)
+            expected = max(0.0, 1.0 - away(env, data, arrays, world) / spec.near)
+            seen.append(bonus.value("precision", info, spec)[world].item())
+            assert seen[-1] == pytest.approx(expected, abs=1e-4)
     assert min(seen) == 0.0
     assert max(seen) > 0.5
 
@@ -88,7 +98,11 @@ def test_precision_is_one_at_the_target_and_nothing_beyond_what_counts():
 @pytest.mark.parametrize(
     ("task", "terms", "sentence"),
     [
-        (ELBOW, ["precision=1"], "term of --bonus 'precision' unknown; available: solved, success, pose, "),
+        (
+            LEGS,
+            ["precision=1"],
+            "term of --bonus 'precision' unknown; available: solved, success, vel_reward, ",
+        ),
         (
             FINGER,
             ["pose=1"],

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     import torch
 
 OUTCOMES = ("solved", "success")  # of a control step, 0 or 1
-REACH, PRECISION = "reach", "precision"  # a term that is minus a distance; 1 - distance / near, at least 0
+PRECISION = "precision"  # 1 - error / near, at least 0
+ERRORS = ("reach", "pose")  # terms that are minus the error
 
 
 def weights(bonus: Sequence[str]) -> dict[str, float]:
@@ -41,7 +42,7 @@ def weights(bonus: Sequence[str]) -> dict[str, float]:
 def names(spec: TaskSpec) -> tuple[str, ...]:
     """Return what can be weighed in a task."""
     terms = tuple(term.name for term in spec.reward_terms())
-    return (*OUTCOMES, *((PRECISION,) if REACH in terms and hasattr(spec, "near") else ()), *terms)
+    return (*OUTCOMES, *((PRECISION,) if _error(terms) and hasattr(spec, "near") else ()), *terms)
 
 
 def value(name: str, info: Mapping[str, torch.Tensor], spec: TaskSpec) -> torch.Tensor:
@@ -50,5 +51,11 @@ def value(name: str, info: Mapping[str, torch.Tensor], spec: TaskSpec) -> torch.
         return info[name].float()
     if name == PRECISION:
         near: float = getattr(spec, "near")  # noqa: B009 (not every task has one; `names` asks)
-        return (1.0 + info[f"terms/{REACH}"] / near).clamp_min(0.0)
+        error = _error([term.name for term in spec.reward_terms()])
+        return (1.0 + info[f"terms/{error}"] / near).clamp_min(0.0)
     return info[f"terms/{name}"]
+
+
+def _error(terms: Sequence[str]) -> str:
+    """Return which term is minus the error; "" for none."""
+    return next((name for name in ERRORS if name in terms), "")
