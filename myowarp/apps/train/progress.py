@@ -135,7 +135,7 @@ class Progress:
     def _line(self, row: Mapping[str, float]) -> Text:
         """Return the live line."""
         done, seconds = row["samples"] - self._after, time.monotonic() - self._begin
-        left = int(seconds * (self.total - row["samples"]) / max(done, 1))
+        left = int(seconds * max(self.total - row["samples"], 0) / max(done, 1))
         success, last, some = (100 * row[name] for name in SUCCESSES)
         shares = " ".join(f"{part} {100 * row[f'share_{part}']:.0f}" for part in PARTS)
         episodes = "no episode has ended yet"
