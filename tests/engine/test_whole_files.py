@@ -13,9 +13,10 @@ from often import often
 from myowarp.disk import SCRATCH, check_overwrite, in_place, locked, make_folder, sweep
 
 WRITER = """
-import sys, time
+import signal, sys, time
 from pathlib import Path
 from myowarp.disk import in_place
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored, where the tests run in the background
 with in_place(Path(sys.argv[1])) as scratch, scratch.open("w") as file:
     file.write("half")
     file.flush()
