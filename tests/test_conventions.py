@@ -579,6 +579,52 @@ def test_own_private_names_are_not_those_of_others():
     assert uses_of_others(text, {"_mine"}) == []
 
 
+TESTS = Path(__file__).parent
+KNOW_THE_INSIDE = ("engine", "data")
+"""Folders of tests that may: of the engine's kernels, and what runs within MyoSuite or OpenSim to record."""
+
+
+def looks_inside(text):
+    """Yield line and name of each private attribute or import of others, in programs within a text, too."""
+    for node in ast.walk(ast.parse(text)):
+        used = []
+        if isinstance(node, ast.Attribute):
+            used = [] if getattr(node.value, "id", "") in ("self", "cls", "os") else [node.attr]
+        elif isinstance(node, ast.ImportFrom):
+            used = [name.name for name in node.names]
+        elif isinstance(node, ast.Call):
+            named = getattr(node.func, "attr", getattr(node.func, "id", ""))
+            used = [value.split(".")[-1] for value in constants(node)] if named in BY_NAME else []
+        elif isinstance(node, ast.Constant) and re.search(r"\n *import ", str(node.value)):
+            used = re.findall(r"(?<!self)(?<!cls)(?<!os)\.(_\w+)", node.value)
+        yield from ((node.lineno, name) for name in used if is_private(name) and name not in OF_TUPLES)
+
+
+def test_tests_know_what_is_public():
+    """A private name may change without a word; what a test needs of it deserves a public one."""
+    files = {str(path.relative_to(TESTS)): path for path in sorted(TESTS.rglob("*.py"))}
+    refuse(
+        f"{name}:{line}: {inside}"
+        for name, path in files.items()
+        if not name.startswith(KNOW_THE_INSIDE)
+        for line, inside in looks_inside(path.read_text())
+    )
+
+
+@pytest.mark.parametrize(
+    "planted",
+    [
+        "assert live._panel",
+        "from myowarp.apps.train.improve import _choice",
+        "monkeypatch.setattr(selection.Selection, '_build', None)",
+        r'PROGRAM = "\nimport myowarp\nprint(env._pictures)"',
+    ],
+)
+def test_planted_looks_inside_are_found(planted):
+    assert list(looks_inside(planted))
+    assert not list(looks_inside(planted.replace("_", "")))
+
+
 WRITES = {
     *("write_text", "write_bytes", "tofile", "savetxt", "savez", "savez_compressed", "savefig"),
     *("to_csv", "to_parquet", "to_json", "copyfile", "copy2", "copytree", "mkstemp", "mkdtemp"),
