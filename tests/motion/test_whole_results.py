@@ -22,10 +22,12 @@ from myowarp.osim.body.skeleton import Bones
 ROOT = Path(__file__).parents[2]
 ARM, BEND = ROOT / "examples/arm.osim", ROOT / "examples/arm_bend.mot"
 ENDLESS = """
+import signal
 import sys
 from pathlib import Path
 import numpy as np
 from myowarp.motion.storage import Storage, Tables
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored, where the tests run in the background
 with Tables(Path(sys.argv[1])) as tables:
     for k in range(10**9):
         rows = Storage(("a",), np.arange(100.0 * k, 100.0 * (k + 1)), np.ones((100, 1)))
