@@ -21,7 +21,7 @@ import shlex
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib import metadata
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ from myowarp.definitions.option import flag
 from myowarp.definitions.senses import PARAMETERS, SENSES, Told
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TaskSpec
+from myowarp.disk import version
 from myowarp.kernels.action import CENTER, STEEPNESS
 from myowarp.process import warn_once
 from myowarp.sim.build import oracle_model
@@ -197,8 +198,8 @@ def versions() -> dict[str, str]:
     found = {"python": platform.python_version()}
     for package in PACKAGES:
         try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
+            found[package] = version(package)
+        except PackageNotFoundError:
             continue
     return found
 
