@@ -256,7 +256,7 @@ def rates(case: Case, options: Options) -> Iterator[dict[str, Any]]:
         "memory_bytes_per_world": round(memory / case.num_worlds),
         "footprint": env.footprint(steps=20),
         "stages": sorted(type(stage).__name__ for stage in env.sim.shards[0].stages),
-        "idle_kernels": len(env.sim.shards[0]._idle),
+        "idle_kernels": len(env.sim.shards[0].idle_kernels),
     }
 
 
@@ -354,7 +354,7 @@ def agreement(case: Case, options: Options) -> Iterator[dict[str, Any]]:
         "difference_to_cpu": differences(mine, theirs),
         "same_bits_twice": all(np.array_equal(mine[name], again[name]) for name in mine),
         "stages": sorted(type(stage).__name__ for stage in sim.shards[0].stages),
-        "idle_kernels": len(sim.shards[0]._idle),
+        "idle_kernels": len(sim.shards[0].idle_kernels),
     }
 
 
@@ -407,11 +407,11 @@ def kernels(case: Case, options: Options) -> Iterator[dict[str, Any]]:
         sim.step()
     device, (first, *_) = sim.scene.device, sim.shards
     with BUILD_LOCK, quiet(), wp.ScopedDevice(device):
-        first._launch_physics()
+        first.launch_physics()
         wp.synchronize_device(device)
         wp.timing_begin(cuda_filter=wp.TIMING_ALL)
         for _ in range(steps):
-            first._launch_physics()
+            first.launch_physics()
         results = wp.timing_end()
     found: dict[str, list[float]] = {}
     for result in results:

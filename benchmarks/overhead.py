@@ -75,7 +75,7 @@ class Pair:
         countdown = wp.zeros(1, dtype=int, device=sim.scene.device)
 
         def launch() -> None:
-            repeat(sim.shards[0]._launch_physics, sim.scene.num_substeps, countdown)
+            repeat(sim.shards[0].launch_physics, sim.scene.num_substeps, countdown)
 
         with quiet():
             graph = Graph(launch, sim.scene.device)

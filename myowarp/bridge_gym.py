@@ -68,6 +68,11 @@ class MyoWarpVectorEnv(VectorEnv):
 
     What is returned may be memory of the simulation: with `copy=False` every array is a view that the next
     `step` or `reset` overwrites.
+
+    Attributes:
+        sim: The simulation.
+        pictures: What `render` draws with.
+        captions: Text on pictures; None: none.
     """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012 (Gymnasium's protocol)
@@ -150,7 +155,7 @@ class MyoWarpVectorEnv(VectorEnv):
         mode = _autoreset_mode(autoreset_mode)
         self.copy = output == "numpy" if copy is None else copy
         self.output, given = output, Output(output, self.copy)
-        self.render_mode, self._pictures = render_mode, Pictures(render_size, camera, muscle_color)
+        self.render_mode, self.pictures = render_mode, Pictures(render_size, camera, muscle_color)
         rendered = None if render_worlds is None else rows_of(list(render_worlds), num_envs).tolist()
         said = Setup(
             physics=physics,
@@ -167,9 +172,9 @@ class MyoWarpVectorEnv(VectorEnv):
         options["autoreset"] = AUTORESET_NAMES[mode]
         self.sim = Simulation(said.over(Setup.of(task)), num_envs, **options)
         if render_mode is not None:
-            self._pictures.attach(self.sim)
+            self.pictures.attach(self.sim)
         self._rendered = list(range(self.sim.num_worlds)) if rendered is None else rendered
-        self._text = Captions(self._rendered, self.sim.scene.control_dt) if render_text else None
+        self.captions = Captions(self._rendered, self.sim.scene.control_dt) if render_text else None
         self._set_up(mode)
         self._wrap(given)
 
@@ -254,8 +259,8 @@ class MyoWarpVectorEnv(VectorEnv):
             place(self.sim, {name: rows[mask] for name, rows in start.items()}, np.flatnonzero(mask))
         self._was_reset = self._was_reset or bool(mask.all())
         self._resetting[mask] = False
-        if self._text is not None:
-            self._text.begin(mask)
+        if self.captions is not None:
+            self.captions.begin(mask)
         self._show()
         return self._obs()["obs"], {}
 
@@ -323,8 +328,8 @@ class MyoWarpVectorEnv(VectorEnv):
         self._was_reset = self._was_reset or len(rows) == self.num_envs
         ended = self.sim.episode.ended.numpy()[rows]
         self._resetting[rows] = ended & (self._autoreset == AutoresetMode.NEXT_STEP)
-        if self._text is not None:
-            self._text.begin(np.isin(np.arange(self.num_envs), rows))
+        if self.captions is not None:
+            self.captions.begin(np.isin(np.arange(self.num_envs), rows))
         self._show()
         return self._obs()["obs"]
 
@@ -352,27 +357,27 @@ class MyoWarpVectorEnv(VectorEnv):
         if self.render_mode == "human":
             self._show()
             return None
-        captions = [()] * len(self._rendered) if self._text is None else self._text.lines()
+        captions = [()] * len(self._rendered) if self.captions is None else self.captions.lines()
         shown = zip(self._rendered, captions, strict=True)
-        return tuple(self._pictures.frame(self.sim, world, lines) for world, lines in shown)
+        return tuple(self.pictures.frame(self.sim, world, lines) for world, lines in shown)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close windows and drawing contexts, and end all threads."""
-        self._pictures.close()
+        self.pictures.close()
         self.sim.close()
 
     def _count_on_pictures(self) -> None:
         """Count a step in the text on pictures; it begins anew where the step was, or led to, a reset."""
-        if self._text is None:
+        if self.captions is None:
             return
         reward, success, step_count = self._scored().values()
-        self._text.add(reward, success)
-        self._text.begin(step_count == 0)
+        self.captions.add(reward, success)
+        self.captions.begin(step_count == 0)
 
     def _show(self) -> None:
         """Update the window of human mode."""
         if self.render_mode == "human":
-            self._pictures.show(self.sim, self._rendered[0])
+            self.pictures.show(self.sim, self._rendered[0])
 
     def _options(self, options: dict[str, Any] | None) -> dict[str, Any]:
         """Return the options of a reset, their names checked."""

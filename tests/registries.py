@@ -13,13 +13,13 @@ REGISTRIES = (myowarp.TASKS, myowarp.BODIES, myowarp.CONDITIONS, myowarp.MUSCLES
 @contextlib.contextmanager
 def as_before(folder=None):
     """Leave registries, Gymnasium's ids and the import path as they were; forget modules of a folder."""
-    entries = [dict(registry._entries) for registry in REGISTRIES]
     ids, modules, path = set(gym.registry), set(sys.modules), list(sys.path)
     try:
-        yield
+        with contextlib.ExitStack() as stack:
+            for registry in REGISTRIES:
+                stack.enter_context(registry.temporary())
+            yield
     finally:
-        for registry, before in zip(REGISTRIES, entries, strict=True):
-            registry._entries = before
         for name in set(gym.registry) - ids:
             del gym.registry[name]
         sys.path[:] = path

@@ -95,6 +95,10 @@ class Client:
             kind: self.types[kind] for kind in self.types if "Light" in kind and kind != "EnableLightsMessage"
         }
 
+    def vanish(self):
+        """Break the connection without a word."""
+        self._socket.close_socket()
+
     def leave(self):
         self._socket.close()
         self._reader.join(10)

@@ -55,4 +55,4 @@ def repeated_step(scene, stages=()):
 
 def physics_of(sim):
     """Return a function that launches the physics step of a simulation each time, with its own stages."""
-    return repeated(sim.shards[0]._launch_physics, sim.scene.device)
+    return repeated(sim.shards[0].launch_physics, sim.scene.device)

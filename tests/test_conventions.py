@@ -482,10 +482,10 @@ def is_private(name):
     return name.startswith("_") and not name.startswith("__") and not name.endswith("_")
 
 
-def bound(module):
-    """Return the top package of each name that a file imports."""
+def bound(every):
+    """Return the top package of each name that a file imports, of all of its nodes."""
     found = {}
-    for node in ast.walk(module):
+    for node in every:
         if isinstance(node, ast.Import):
             found |= {(n.asname or n.name).split(".")[0]: n.name.split(".")[0] for n in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -493,10 +493,10 @@ def bound(module):
     return found
 
 
-def own_names(module):
+def own_names(every):
     """Return the private names that a file defines; those set in a class of a library may be its own."""
-    packages, found = bound(module), set()
-    for node in ast.walk(module):
+    packages, found = bound(every), set()
+    for node in every:
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             found.add(node.name)
         elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
@@ -521,11 +521,11 @@ def root_of(node):
     return node.id if isinstance(node, ast.Name) else ""
 
 
-def uses_of_others(text, own):
-    """Return what a file uses that others keep to themselves."""
-    module, found = ast.parse(text), SURGERY.findall(text)
-    packages = bound(module)
-    for node in ast.walk(module):
+def uses_of_others(text, own, every=None):
+    """Return what a file uses that others keep to themselves; without its nodes they are found."""
+    every, found = every or list(ast.walk(ast.parse(text))), SURGERY.findall(text)
+    packages = bound(every)
+    for node in every:
         used = []
         if isinstance(node, ast.Import):
             used = [part for name in node.names for part in name.name.split(".")]
@@ -544,12 +544,13 @@ def uses_of_others(text, own):
 @cache
 def all_own_names():
     """Return the private names that our files define, but for those that may use a library's."""
-    return set().union(*(own_names(tree(name)) for name in UNGUARDED))
+    return set().union(*(own_names(nodes(name)) for name in UNGUARDED))
 
 
 def test_what_others_keep_private_stays_in_one_file():
     """Private names of a library, and what replaces its functions, are in the file that `GUARDED` names."""
-    found = {name: uses_of_others(FILES[name].read_text(), all_own_names()) for name in UNGUARDED}
+    own, texts = all_own_names(), {name: FILES[name].read_text() for name in UNGUARDED}
+    found = {name: uses_of_others(text, own, nodes(name)) for name, text in texts.items()}
     refuse(f"{name}: {uses}" for name, uses in found.items() if uses)
 
 
@@ -577,6 +578,52 @@ def test_planted_private_names_are_found(planted):
 def test_own_private_names_are_not_those_of_others():
     text = "import warp as wp\nwp.config.quiet = True\ndef f(seen, self): return seen._replace(self._mine)"
     assert uses_of_others(text, {"_mine"}) == []
+
+
+TESTS = Path(__file__).parent
+KNOW_THE_INSIDE = ("engine", "data")
+"""Folders of tests that may: of the engine's kernels, and what runs within MyoSuite or OpenSim to record."""
+
+
+def looks_inside(text):
+    """Yield line and name of each private attribute or import of others, in programs within a text, too."""
+    for node in ast.walk(ast.parse(text)):
+        used = []
+        if isinstance(node, ast.Attribute):
+            used = [] if getattr(node.value, "id", "") in ("self", "cls", "os") else [node.attr]
+        elif isinstance(node, ast.ImportFrom):
+            used = [name.name for name in node.names]
+        elif isinstance(node, ast.Call):
+            named = getattr(node.func, "attr", getattr(node.func, "id", ""))
+            used = [value.split(".")[-1] for value in constants(node)] if named in BY_NAME else []
+        elif isinstance(node, ast.Constant) and re.search(r"\n *import ", str(node.value)):
+            used = re.findall(r"(?<!self)(?<!cls)(?<!os)\.(_\w+)", node.value)
+        yield from ((node.lineno, name) for name in used if is_private(name) and name not in OF_TUPLES)
+
+
+def test_tests_know_what_is_public():
+    """A private name may change without a word; what a test needs of it deserves a public one."""
+    files = {str(path.relative_to(TESTS)): path for path in sorted(TESTS.rglob("*.py"))}
+    refuse(
+        f"{name}:{line}: {inside}"
+        for name, path in files.items()
+        if not name.startswith(KNOW_THE_INSIDE)
+        for line, inside in looks_inside(path.read_text())
+    )
+
+
+@pytest.mark.parametrize(
+    "planted",
+    [
+        "assert live._panel",
+        "from myowarp.apps.train.improve import _choice",
+        "monkeypatch.setattr(selection.Selection, '_build', None)",
+        r'PROGRAM = "\nimport myowarp\nprint(env._pictures)"',
+    ],
+)
+def test_planted_looks_inside_are_found(planted):
+    assert list(looks_inside(planted))
+    assert not list(looks_inside(planted.replace("_", "")))
 
 
 WRITES = {
@@ -633,7 +680,8 @@ def writers(module):
 
 def test_files_are_written_whole():
     """What opens a file for writing stands in a function with `in_place`, or in `ALLOWED_WRITERS`."""
-    files = FILES.keys() - {"disk.py"}
+    calls = {name: (node for node in nodes(name) if isinstance(node, ast.Call)) for name in FILES}
+    files = {name for name in FILES.keys() - {"disk.py"} if any(map(opens_for_writing, calls[name]))}
     refuse(
         {f"{name}:{function}" for name in files for function in writers(tree(name))} - ALLOWED_WRITERS.keys()
     )
@@ -664,9 +712,9 @@ def test_a_writer_with_in_place_is_none():
 CLAUSES = re.compile(r"(What|Where|Who|Whoever|Whose|Which|Those|That|How) ")
 
 
-def docstrings(module):
-    """Return the docstrings of a module, the texts under its constants included."""
-    for node in ast.walk(module):
+def docstrings(every):
+    """Yield the docstrings of a module, the texts under its constants included, of all of its nodes."""
+    for node in every:
         if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)):
             for child in node.body:
                 text = child.value if isinstance(child, ast.Expr) else None
@@ -676,8 +724,9 @@ def docstrings(module):
 
 def test_docstrings_begin_with_a_noun_or_a_verb():
     """A relative clause in place of the thing has to be read twice."""
-    modules = {name: tree(name) for name in FILES}
-    modules |= {path.name: ast.parse(path.read_text()) for path in PACKAGE.parent.glob("benchmarks/*.py")}
+    modules = {name: nodes(name) for name in FILES}
+    for path in PACKAGE.parent.glob("benchmarks/*.py"):
+        modules[path.name] = ast.walk(ast.parse(path.read_text()))
     assert not [
         f"{name}: {text.splitlines()[0]}"
         for name, module in modules.items()
@@ -688,7 +737,7 @@ def test_docstrings_begin_with_a_noun_or_a_verb():
 
 def test_a_docstring_that_is_a_clause_is_found():
     module = ast.parse('"""What a body is."""\nA = 1\n"""Where it is."""\ndef f():\n    """Return it."""')
-    assert [bool(CLAUSES.match(text)) for text in docstrings(module)] == [True, True, False]
+    assert [bool(CLAUSES.match(text)) for text in docstrings(ast.walk(module))] == [True, True, False]
 
 
 def test_colours_are_those_of_one_file():

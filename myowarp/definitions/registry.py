@@ -4,6 +4,7 @@ A registered object is found by its name everywhere: in `gymnasium.make_vec`, on
 in the tests, which run over everything registered.
 """
 
+import contextlib
 import difflib
 import itertools
 import math
@@ -97,6 +98,15 @@ class Registry(Generic[T]):
     def seal(self) -> None:
         """Let no entry so far be replaced."""
         self._sealed = frozenset(self._entries)
+
+    @contextlib.contextmanager
+    def temporary(self) -> Iterator[None]:
+        """Forget after the block what was registered or replaced in it; for tests and notebooks."""
+        before = dict(self._entries)
+        try:
+            yield
+        finally:
+            self._entries = before
 
     def __getitem__(self, name: str) -> T:
         """Return the entry called `name`.

@@ -33,7 +33,7 @@ def check_function(function: wp.Function) -> None:
         written = _translate(kernel)
     except RecursionError as error:
         raise ValueError(f"{function.key} calls itself, which Warp does not translate") from error
-    except Exception as error:
+    except Exception as error:  # of Warp's translator, under many names, and of what a user's names stand for
         raise ValueError(_reason(function, error)) from error
     for name in names:
         if name in written:

@@ -136,7 +136,7 @@ def read_c3d(path: Path, up: str | None = None, names: Mapping[str, str] | None 
     try:
         file = ezc3d.c3d(str(path), extract_forceplat_data=False)
         plates = _plates(file, ezc3d)
-    except Exception as error:  # of C++, under many names
+    except Exception as error:  # of ezc3d's C++, under many names
         text = " ".join(str(error).split())[:200]
         raise ValueError(f"{str(path)!r} cannot be read as a C3D file: {text}") from error
     axes = UP[up or _vertical(file)]

@@ -395,7 +395,7 @@ def _controls(
     upper = np.concatenate([np.maximum(weak, strong) / whole, most, endless], axis=1)
     found = optimal_activations(rows, effects, needed, lower, upper)
     target = found.activation[:, :count] * whole
-    excitation = _excitation(lambda e: ahead(e) - target, low, high, weak - target, strong - target)
+    excitation = illinois_root(lambda e: ahead(e) - target, low, high, weak - target, strong - target)
     # Light bodies feel what the solver's softness leaves; a reserve has no bound.
     given = found.activation[:, driven:] * cost + found.missing
     if motors is not None:
@@ -403,7 +403,7 @@ def _controls(
     return excitation, given
 
 
-def _excitation(
+def illinois_root(
     off: Callable[[np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray, below: np.ndarray,
     above: np.ndarray,
 ) -> np.ndarray:  # fmt: skip

@@ -39,7 +39,7 @@ def check_memory(
     if available is None or num_worlds * LARGE_WORLD <= available:
         return
     with wp.ScopedDevice(device):
-        one, two = (sum(map(_bytes, make_data(number))) + number * further for number in (1, 2))
+        one, two = (sum(map(num_bytes, make_data(number))) + number * further for number in (1, 2))
     needed = one + (num_worlds - 1) * (two - one)
     if needed > available:
         raise ValueError(
@@ -61,10 +61,10 @@ def available_memory(device: wp.Device) -> int | None:
     return min(limits, default=None)
 
 
-def _bytes(thing: Any) -> int:
+def num_bytes(thing: Any) -> int:
     """Return the size of all arrays of a dataclass."""
     if isinstance(thing, wp.array):
         return int(thing.capacity)
     if not dataclasses.is_dataclass(thing):
         return 0
-    return sum(_bytes(getattr(thing, field.name)) for field in dataclasses.fields(thing))
+    return sum(num_bytes(getattr(thing, field.name)) for field in dataclasses.fields(thing))

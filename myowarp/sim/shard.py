@@ -69,6 +69,8 @@ class Shard:
         senses: What is observed besides, in the order in which it was named.
         physics_step: The physics step.
         stages: Stages of it that kernels of ours do.
+        idle_kernels: Kernels of the engine's that do nothing for this model, and are left out.
+        launch_physics: Launches a physics step.
         weights: Weights of the reward terms, shape (num_terms,).
         shown: What conditions show of their state, by name, (num_worlds, ...).
         info: The same after the step, resets included.
@@ -79,7 +81,7 @@ class Shard:
     """
 
     _modules: tuple[wp.Module, ...]
-    _idle = frozenset[str]()
+    idle_kernels = frozenset[str]()
     _bring_settling: Callable[[], None] | None = None
     stages: tuple[Stage, ...] = ()
     starts: wp.array | None = None
@@ -150,7 +152,7 @@ class Shard:
 
     def _choose_kernels(self, names: Iterable[str], progress: bool) -> None:
         """Find out which stages of the physics step are to be ours, and compile all kernels."""
-        self.stages, self._idle = choose_stages(
+        self.stages, self.idle_kernels = choose_stages(
             self.physics_step, names, self._launch_all, progress, self.conditions
         )
         self._take_stages()
@@ -159,16 +161,16 @@ class Shard:
     def _take_over(self, like: Shard) -> None:
         """Use the kernels and the starts of another shard."""
         self.starts, self.start_address = like.starts, like.start_address
-        self._modules, self._idle = like._modules, like._idle
+        self._modules, self.idle_kernels = like._modules, like.idle_kernels
         self.stages = self.physics_step.same(like.stages)
         self._take_stages()
 
     def _take_stages(self) -> None:
         """Step, and look at the present state, with the stages that were chosen."""
-        self._launch_physics = self.physics_step.launches(self.stages, self._idle)
-        bring = partial(self.physics_step.launches, self.stages, self._idle)
+        self.launch_physics = self.physics_step.launches(self.stages, self.idle_kernels)
+        bring = partial(self.physics_step.launches, self.stages, self.idle_kernels)
         self._bring_settling = bring(only=PATHS, mask=self._settling)
-        # `_refresh` has brought bodies before; a stage of ours does them in the launch that follows paths.
+        # `refresh` has brought bodies before; a stage of ours does them in the launch that follows paths.
         with_paths = any("kinematics" in stage.replaces for stage in self.stages)
         fresh = self.scene.spec.uses_kinematics and not with_paths
         self.program.bring_paths = bring(only=PATHS - {"kinematics"} if fresh else PATHS)
@@ -201,7 +203,7 @@ class Shard:
         if is_ours(type(scene.muscles), *map(type, self.effects)):
             stepped = dataclasses.replace(stepped, remaining=self._countdown)
         self.physics_step: Step = step_of(stepped)
-        self._launch_physics = self.physics_step.launches()
+        self.launch_physics = self.physics_step.launches()
 
     def _launch_all(self) -> None:
         """Every launch there is, for the compiler."""
@@ -215,8 +217,8 @@ class Shard:
         self.launch_conditions()
         for stage in self.stages:
             stage.begin()
-        repeat(self._launch_physics, self.scene.num_substeps, self._countdown)
-        self._refresh()
+        repeat(self.launch_physics, self.scene.num_substeps, self._countdown)
+        self.refresh()
         wp.launch(count_step, dim=self.num_worlds, outputs=[self.episode])
         self.program.advance(self.episode.step_count)
         self.launch_scoring()
@@ -319,7 +321,7 @@ class Shard:
 
     def _launch_probes(self, mask: wp.array | None) -> None:
         """Let probes look at the present state, in all worlds or a mask."""
-        with pruned(self._idle):
+        with pruned(self.idle_kernels):
             for launch in self._probes:
                 launch(mask)
 
@@ -355,18 +357,18 @@ class Shard:
             if any(condition.PHASE == Phase.TRANSMISSION for condition in self.conditions):
                 self._launch_transmission()
             wp.copy(self._settling, mask)
-            with pruned(self._idle):
+            with pruned(self.idle_kernels):
                 settle_muscles(self.scene, mask, self._bring_settling)
 
     def _show(self, changed: wp.array, fresh: wp.array) -> None:
         """Make poses those of the present state where it was `changed`, and observe the worlds of `fresh`."""
-        self._refresh(changed)
+        self.refresh(changed)
         self._launch_observation(fresh)
         for name, array in self.shown.items():
             if self.info[name] is not array:
                 wp.copy(self.info[name], array)
 
-    def _refresh(self, mask: wp.array | None = None) -> None:
+    def refresh(self, mask: wp.array | None = None) -> None:
         """Make poses those of the present state, in all worlds or a mask: a step leaves them old."""
         if not self.scene.spec.uses_kinematics:
             return

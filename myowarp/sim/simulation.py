@@ -260,7 +260,7 @@ class Simulation:
         """Let a shard act; if it does not get to the end, the shards are no longer at the same step."""
         try:
             act(shard)
-        except BaseException as error:
+        except BaseException as error:  # an interrupt, too, leaves the shards apart
             own, reason = shard.scene.worlds.own, f"{type(error).__name__}: {error}"
             self._failure = f"worlds {own.start} to {own.stop - 1} stopped ({reason}); make a new simulation"
             error.add_note(self._failure)

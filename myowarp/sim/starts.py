@@ -170,7 +170,7 @@ class Search:
                 age[free] = 0
             self.shard.step()
             age += 1
-            lost = self._lost(age)
+            lost = self.lost(age)
             passed = ~lost & (age == self.num_steps)
             yield list(rows[passed])
             free = lost | passed
@@ -257,17 +257,17 @@ class Search:
         qpos = self.shard.scene.data.qpos
         present = qpos.numpy().copy()
         self._write(np.arange(BATCH) < len(rows), rows)
-        failed = self._failed(np.full(BATCH, FAIL_STEPS, dtype=np.int32))
+        failed = self.fails(np.full(BATCH, FAIL_STEPS, dtype=np.int32))
         qpos.assign(present)
         return list(rows[~failed[: len(rows)]])
 
-    def _lost(self, age: np.ndarray) -> np.ndarray:
+    def lost(self, age: np.ndarray) -> np.ndarray:
         """Whether the starts on trial, so many steps old, have failed or let an object go; shape (BATCH,)."""
         data = self.shard.scene.data
-        lost = self._failed(age) | (self.shard.transition.fault.numpy() != 0)
+        lost = self.fails(age) | (self.shard.transition.fault.numpy() != 0)
         return lost | (self.palm.drift(data.xpos.numpy(), data.xmat.numpy()) > HOLD_DISTANCE)
 
-    def _failed(self, age: np.ndarray) -> np.ndarray:
+    def fails(self, age: np.ndarray) -> np.ndarray:
         """Whether the task fails in the present configurations in any of several episodes; shape (BATCH,)."""
         scene, program = self.shard.scene, self.shard.program
         episode, qpos = scene.keys.episode.numpy().copy(), scene.data.qpos.numpy().copy()

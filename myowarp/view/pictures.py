@@ -24,7 +24,11 @@ if TYPE_CHECKING:
 
 
 class Pictures:
-    """Draws worlds of a simulation."""
+    """Draws worlds of a simulation.
+
+    Attributes:
+        viewer: Window or page that shows a world live; None: not opened.
+    """
 
     def __init__(
         self,
@@ -53,7 +57,7 @@ class Pictures:
         self._size, self._camera, self._color, self._legend = size, camera, color, legend
         self._signals: Signals | None = None
         self._renderer: WorldRenderer | None = None
-        self._viewer: Window | Page | None = None
+        self.viewer: Window | Page | None = None
 
     def attach(self, sim: Simulation) -> None:
         """Have the simulation compute what the colours show, if it does not yet; before it is stepped."""
@@ -85,9 +89,9 @@ class Pictures:
 
     def show(self, sim: Simulation, world: int = 0) -> None:
         """Show a world in a window, or in a page where none opens."""
-        if self._viewer is None:
-            self._viewer = self._open_viewer(sim)
-        self._viewer.show(self.snapshot(sim, world))
+        if self.viewer is None:
+            self.viewer = self._open_viewer(sim)
+        self.viewer.show(self.snapshot(sim, world))
 
     def _open_viewer(self, sim: Simulation) -> Window | Page:
         """Open a window, or a page where none opens.
@@ -112,7 +116,7 @@ class Pictures:
 
     def close(self) -> None:
         """Close what is open."""
-        for view in (self._renderer, self._viewer):
+        for view in (self._renderer, self.viewer):
             if view is not None:
                 view.close()
-        self._renderer = self._viewer = None
+        self._renderer = self.viewer = None

@@ -17,7 +17,13 @@ from myowarp.osim.convert.check.dynamics import dynamics
 from myowarp.osim.convert.check.engines import PlainMuJoCo
 from myowarp.osim.convert.check.gates import COORDINATES, arm_gates, dynamics_gates, muscle_gates
 from myowarp.osim.convert.check.judge import BENT, off_surfaces
-from myowarp.osim.convert.check.muscles import Spread, _pair, moment_arm_errors, motion, muscle_errors
+from myowarp.osim.convert.check.muscles import (
+    Spread,
+    moment_arm_error,
+    moment_arm_errors,
+    motion,
+    muscle_errors,
+)
 from myowarp.osim.convert.compose.convert import Options, Stages, convert
 from myowarp.osim.convert.tendon import fits as muscle_fit
 from myowarp.osim.convert.tendon.fitted import Fits
@@ -37,7 +43,7 @@ def reference(arm, slope=None, length=None):
 
 
 def pair(found, **given):
-    return _pair("m", "q", reference(**given), np.asarray(found, float))
+    return moment_arm_error("m", "q", reference(**given), np.asarray(found, float))
 
 
 def passed(gates, name):

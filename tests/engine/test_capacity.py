@@ -17,7 +17,7 @@ from myowarp.sim.capacity import MARGIN, calibrate
 
 NUM_POSES = 200
 NUM_STEPS = 300
-NUM_EPISODES = 12  # of motion with contacts
+NUM_EPISODES = 6  # of motion with contacts
 SEED = 12345  # calibration uses 0
 BEYOND = 0.2  # of a joint's range, so that limits act
 

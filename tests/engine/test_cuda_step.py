@@ -107,7 +107,7 @@ def test_steps_from_an_arena_have_the_same_bits():
     sim = cuda_simulation(HAND, graph=False)
     expected = qpos_of(sim)
     shard = sim.shards[0]
-    plain, arena = shard._launch_physics, Arena(shard._launch_physics, CPU)
+    plain, arena = shard.launch_physics, Arena(shard.launch_physics, CPU)
     assert len(arena.blocks) > 20
     for block in arena.blocks:
         block.fill_(255)  # NaN
@@ -116,7 +116,7 @@ def test_steps_from_an_arena_have_the_same_bits():
         with arena.used():
             plain()
 
-    shard._launch_physics = launch
+    shard.launch_physics = launch
     np.testing.assert_array_equal(qpos_of(sim), expected)
 
 

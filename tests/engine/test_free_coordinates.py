@@ -456,7 +456,7 @@ def test_a_part_takes_over_the_stages(tmp_path):
     for part in (first, second):
         place(part, *states(3))
         with wp.ScopedDevice(part.scene.device):
-            part._launch_physics()
+            part.launch_physics()
     np.testing.assert_array_equal(second.scene.data.qpos.numpy(), first.scene.data.qpos.numpy())
     assert first.physics_step.stages(["contact_solve"])
 

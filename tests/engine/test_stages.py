@@ -86,7 +86,7 @@ def test_all_that_apply_are_used(key, caplog, monkeypatch, tmp_path):
     with caplog.at_level(logging.WARNING, logger="myowarp"):
         sim = simulation(key)
     assert kinds(sim.shards[0].stages) == kinds(sim.shards[0].physics_step.stages())
-    assert sim.shards[0]._idle == idle_kernels(stepped_of(sim.scene))
+    assert sim.shards[0].idle_kernels == idle_kernels(stepped_of(sim.scene))
     assert sim.shards[0].stages or not sim.scene.muscles.names
     assert not caplog.records
 

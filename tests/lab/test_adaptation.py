@@ -82,7 +82,7 @@ def test_figures_are_those_of_a_loop_by_hand(result, which):
 def test_intervals_are_those_of_scipys_bootstrap(result):
     """Of the drop between two steps, which is a mean over the episodes that both have."""
     solved, lasts = (np.random.default_rng(1).random((4, 80)) < share for share in (0.6, 2.0))
-    before, drop, recovery = adaptation._fall_intervals(solved, lasts, 2, 0.02)
+    before, drop, recovery = adaptation.fall_intervals(solved, lasts, 2, 0.02)
     whole = solved.astype(float)
     options = {"n_resamples": 4000, "method": "percentile", "rng": 1, "vectorized": True}
     expected = bootstrap((whole[:2].mean(axis=0),), np.mean, **options).confidence_interval

@@ -36,7 +36,7 @@ def test_only_nodes_that_fit_work(node, monkeypatch, tmp_path, caplog):
     dead = node | {"NodeID": "ab" * 28, "NodeManagerAddress": "192.0.2.7"}
     monkeypatch.setattr(ray, "nodes", lambda: [dead, node])  # as Ray lists it for a while
     with caplog.at_level(logging.WARNING, "myowarp"):
-        cluster._check_nodes(tmp_path)
+        cluster.check_nodes(tmp_path)
     (line,) = caplog.messages
     assert line.startswith("node 192.0.2.7 is gone and left out until it comes back (The task is not sch")
     monkeypatch.setattr(ray, "nodes", lambda: [node])
@@ -49,15 +49,15 @@ def test_only_nodes_that_fit_work(node, monkeypatch, tmp_path, caplog):
         with monkeypatch.context() as patch:
             patch.setattr(cluster, "versions", lambda change=change: change)
             with pytest.raises(ValueError, match=r"^node") as refused:
-                cluster._check_nodes(folder)
+                cluster.check_nodes(folder)
             assert message in str(refused.value)
             # A node that came later is asked by each piece of work.
             ((name, result, why),) = each(double, [("a", (4,))], folder=folder, cpus=1)
         assert (name, result, why) == ("a", None, str(refused.value))
         assert address in why
     assert list(each(double, [("a", (4,))], folder=tmp_path, cpus=1)) == [("a", 8, "")]
-    monkeypatch.setattr(cluster, "_misfit", broken)
+    monkeypatch.setattr(cluster, "node_misfit", broken)
     with pytest.raises(
         ValueError, match=r"cannot run MyoWarp \(.*No module named 'warp'\); install the same"
     ):
-        cluster._check_nodes(tmp_path)
+        cluster.check_nodes(tmp_path)

@@ -150,7 +150,7 @@ def test_a_replay_that_does_not_fit_is_refused_before_the_first_step(algorithm, 
     job = plan(ELBOW, algorithm=algorithm, output=tmp_path / "run", device="cpu", **small)
     replay = make_learner(algorithm, 9, 6, num_worlds=8, replay=6400).replay
     for _ in range(800):
-        replay.add(**{name: torch.zeros(8, rows.shape[1]) for name, rows in replay._rows.items()})
+        replay.add(**{name: torch.zeros(8, width) for name, width in replay.widths.items()})
     held = sum(array.nbytes for array in replay.arrays().values())
     assert held == replay.size + 8
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1e5))

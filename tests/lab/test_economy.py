@@ -13,7 +13,7 @@ from rich.console import Console
 from thrown import AHEAD, HOPPER, thrown
 
 import myowarp
-from myowarp.apps.cli.eval import _print_table
+from myowarp.apps.cli.eval import print_table
 from myowarp.apps.policies.find import find_policy
 from myowarp.apps.reports.evaluation import evaluate
 from myowarp.apps.reports.intervals import wilson
@@ -156,10 +156,11 @@ def test_who_stands_has_no_cost_of_transport(task):
     sim = Simulation(thrown((4.0,)), 2, device="cpu", autoreset="disabled", seed=SEED)
     signals = Signals(sim)
     sim.reset(seeds=np.array([3, 4]))
-    economy = Economy(sim, signals)
+    economy, root = Economy(sim, signals), free_root(sim.scene.oracle)
+    places = signals.qpos.numpy()[:, root : root + 2].copy()
     sim.step()
-    economy._last[:] = economy._first + np.array([[1e-4, 0.0], [0.0, 0.02]])
-    economy._steps[:] = 1
+    signals.qpos.numpy()[:, root : root + 2] = places + np.array([[1e-4, 0.0], [0.0, 0.02]])
+    economy.see(np.ones(2, dtype=bool))
     found = economy.means()
     np.testing.assert_allclose(found["speed"], [0.01, 2.0], rtol=ROUNDING)
     assert np.isnan(found["bhargava2004_per_kg_m"]).tolist() == [True, False]
@@ -232,7 +233,7 @@ def test_eval_prints_rules_units_and_one_episode(capsys, monkeypatch):
     head = {"task": "thrown", "physics": "parity", "conditions": [], "seed": 0}
     one, many = figures | {"one_episode": True}, figures | {"one_episode": False}
     many["umberger2010_per_kg"], many["success_last"] = 42.0, 0.25
-    _print_table(head, {"deterministic": one, "sampled": many})
+    print_table(head, {"deterministic": one, "sampled": many})
     said = capsys.readouterr().out
     for text in ("length [steps]", "speed [m/s]", "cost of transport, Bhargava 2004 [J/kg/m]", "failed"):
         assert text in said

@@ -66,10 +66,10 @@ def test_the_next_checkpoint_acts_as_soon_as_it_is_whole(sim, tmp_path, monkeypa
 def test_a_run_in_place_of_a_task_is_its_task_and_policy(tmp_path):
     write(tmp_path, 1000, 0.25)
     assert is_run(str(tmp_path))
-    command = View(Said(Setup(task=str(tmp_path), device="cpu")))._run()
+    command = View(Said(Setup(task=str(tmp_path), device="cpu"))).of_run()
     assert command.policy == str(tmp_path)
-    assert command._title == KEY
-    assert View(Said(Setup(task=KEY)))._run() is None
+    assert command.title == KEY
+    assert View(Said(Setup(task=KEY))).of_run() is None
 
 
 def test_a_run_without_a_whole_checkpoint_is_one_sentence(tmp_path):

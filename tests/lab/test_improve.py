@@ -7,7 +7,7 @@ import pytest
 import torch
 from elbows import learner_env
 
-from myowarp.apps.train.improve import _choice
+from myowarp.apps.train.improve import survivors
 from myowarp.apps.train.loop import Run
 from myowarp.apps.train.plan import plan
 from myowarp.apps.train.settings import choose
@@ -37,8 +37,8 @@ def make_run(**settings):
 
 def test_the_best_copies_of_each_start_live_on():
     score = torch.tensor([[3.0, -torch.inf, 7.0, 5.0], [1.0, 2.0, -torch.inf, -torch.inf]])
-    assert _choice(score, 2).tolist() == [2, 3, 2, 3, 5, 4, 5, 4]
-    assert _choice(score, 1).tolist() == [2, 2, 2, 2, 5, 5, 5, 5]
+    assert survivors(score, 2).tolist() == [2, 3, 2, 3, 5, 4, 5, 4]
+    assert survivors(score, 1).tolist() == [2, 2, 2, 2, 5, 5, 5, 5]
 
 
 def test_the_way_of_every_copy_can_be_gone_from_its_start():
@@ -52,7 +52,7 @@ def test_the_way_of_every_copy_can_be_gone_from_its_start():
         starts.append(worlds.env.get_state())
 
     worlds.copy = noted
-    obs, output, success = run.learner._search(worlds)
+    obs, output, success = run.learner.search(worlds)
     assert len(starts) == 1 + (HORIZON - 1) // SMALL["every"]
     assert success.shape == (WORLDS // COPIES, COPIES)
     other = learner_env(WORLDS, HORIZON)
@@ -74,13 +74,13 @@ def test_only_episodes_that_succeeded_are_imitated():
     kept = run.learner.replay.filled
     assert kept % HORIZON == 0
     assert kept > 0
-    search = run.learner._search
+    search = run.learner.search
 
     def failing(worlds):
         obs, output, success = search(worlds)
         return obs, output, torch.zeros_like(success)
 
-    run.learner._search = failing
+    run.learner.search = failing
     run.iterate()
     assert run.learner.replay.filled == kept
     assert run.losses["solved_starts"] == 0.0

@@ -398,7 +398,7 @@ def test_policies_of_the_trainer_before_are_not_trained_on(tmp_path, monkeypatch
     own = load_baseline(conditions.QUICK_TASKS[0])
     manifest = {name: entry for name, entry in own.checkpoint.manifest.items() if name != "learner"}
     old = dataclasses.replace(own, checkpoint=dataclasses.replace(own.checkpoint, manifest=manifest))
-    monkeypatch.setattr(conditions, "_baseline", lambda task: old)
+    monkeypatch.setattr(conditions, "baseline_of", lambda task: old)
     lab = Lab(tmp_path, (0,), 4, quick=True, retrain=True, setup=Setup(device="cpu"))
     with pytest.raises(CheckpointError, match=f"^baseline {own.task!r} is of the trainer before this one"):
         conditions.run(lab)

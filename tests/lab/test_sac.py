@@ -99,7 +99,7 @@ def test_critics_learn_what_follows(terminated):
     """After a termination the value is the reward alone, from 1 to 2; else a geometric series follows."""
     learner = filled(terminated, temperature=1e-6, target_rate=0.05)
     for _ in range(250):
-        learner._update()
+        learner.update()
     kept = learner.replay.arrays()
     obs, action = (torch.from_numpy(kept[f"replay.{name}"]) for name in ("obs", "action"))
     with torch.no_grad():
@@ -146,7 +146,7 @@ def test_without_a_rate_nothing_is_learned():
     """Weights do not decay either."""
     learner = filled(False, learning_rate=0.0)
     before = {name: array.copy() for name, array in learner.arrays().items() if name.startswith("critics")}
-    learner._update()
+    learner.update()
     for name, array in before.items():
         np.testing.assert_array_equal(array, learner.arrays()[name], err_msg=name)
 

@@ -180,7 +180,7 @@ def test_a_checkpoint_that_is_replaced_while_it_is_read_is_read_again(tiny, tmp_
     whole = checkpoints.load_checkpoint(tiny)
     content = {k: v for k, v in whole.manifest.items() if k != "files"}, whole.policy, {}
     checkpoints.save_checkpoint(tmp_path, 1, *content)
-    read, calls = checkpoints._read_manifest, []
+    read, calls = checkpoints.read_manifest, []
 
     def replaced(folder):
         calls.append(folder.name)
@@ -188,7 +188,7 @@ def test_a_checkpoint_that_is_replaced_while_it_is_read_is_read_again(tiny, tmp_
             checkpoints.save_checkpoint(tmp_path, 2, *content)
         return read(folder)
 
-    monkeypatch.setattr(checkpoints, "_read_manifest", replaced)
+    monkeypatch.setattr(checkpoints, "read_manifest", replaced)
     assert checkpoints.load_checkpoint(tmp_path).folder.name == "000000000002"
     assert len(calls) == 2
 
@@ -631,7 +631,7 @@ def test_numbers_that_no_run_writes_are_refused(kind, copy, monkeypatch):
     content = len(header).to_bytes(8, "little") + header.encode() + bytes(8 if kind == "BF16" else 4)
     (copy / checkpoints.POLICY).write_bytes(content)
     rewrite(
-        copy, lambda manifest: manifest["files"].update({checkpoints.POLICY: checkpoints._entry(content)})
+        copy, lambda manifest: manifest["files"].update({checkpoints.POLICY: checkpoints.file_entry(content)})
     )
     with pytest.raises(
         checkpoints.CheckpointError, match=f"with numbers of type {kind}, which no run writes"
@@ -645,7 +645,7 @@ def rewrite(folder, change):
     manifest = json.loads(path.read_text())
     del manifest["digest"]
     change(manifest)
-    path.write_text(json.dumps(manifest | {"digest": checkpoints._digest(manifest)}))
+    path.write_text(json.dumps(manifest | {"digest": checkpoints.manifest_digest(manifest)}))
 
 
 @pytest.mark.parametrize(

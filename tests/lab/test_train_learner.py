@@ -10,6 +10,7 @@ from elbows import learner_env
 from learners import make_learner, parents
 
 from myowarp.apps.reports import machine
+from myowarp.apps.train import learner as learner_module
 from myowarp.apps.train import ppo
 from myowarp.apps.train.learner import Captured
 from myowarp.apps.train.loop import INHERITED_STEPS, DivergedError, Run, precision
@@ -60,7 +61,7 @@ def record(run):
     rows, step = [], run.env.step
 
     def noted(action):
-        before = run.env._obs()["obs"].clone()
+        before = torch.from_numpy(run.env.sim.transition.obs.numpy()).clone()
         obs, reward, terminated, truncated, info = step(action)
         rows.append([x.clone().double().numpy() for x in (before, obs, reward, terminated, truncated)])
         return obs, reward, terminated, truncated, info
@@ -238,7 +239,7 @@ def test_a_gradient_step_of_ppo_is_one_of_the_clipped_loss():
     given = {"clip": 0.2, "entropy": 0.03, "learning_rate": 1e-3, "spread_rate": 4e-3}
     learner = small("ppo", gradient_norm=0.0, **given)
     rollout, before = rollout_of(learner), packed(learner.policy)
-    learner._update_policy(rollout)
+    learner.update_policy(rollout)
     want = arrays_of(rollout)
     assert learner.figures()["policy_loss"] == pytest.approx(clipped_loss(before, want, 0.2, 0.03), abs=1e-6)
     slope = differences(lambda vector: clipped_loss(vector, want, 0.2, 0.03), before)
@@ -254,7 +255,7 @@ def test_a_gradient_step_of_ppo_is_one_of_the_clipped_loss():
 def test_gradients_of_a_policy_are_clipped_together():
     learner, other = small("ppo", gradient_norm=0.1), small("ppo", gradient_norm=0.0)
     for each in (learner, other):
-        each._update_policy(rollout_of(each))
+        each.update_policy(rollout_of(each))
     assert np.linalg.norm(slopes(other)) > 0.3
     want = slopes(other) * 0.1 / np.linalg.norm(slopes(other))
     np.testing.assert_allclose(slopes(learner), want, rtol=1e-3, atol=1e-6)
@@ -288,25 +289,24 @@ def test_a_policy_waits_until_its_value_function_knows_something():
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
 def test_a_captured_step_has_the_numbers_of_a_plain_one(algorithm, monkeypatch):
     """A graph replays a step on inputs of its own; on the CPU a call on those stands for it."""
-    monkeypatch.setattr(Captured, "_warm_up", lambda self, *tensors: self._step(*tensors))
-    monkeypatch.setattr(Captured, "_capture", lambda self: lambda: self._step(*self._inputs))
-    found, replayed = {}, 0
+    found, graphs = {}, []
+    monkeypatch.setattr(learner_module, "warm_up", lambda step: step())
+    monkeypatch.setattr(learner_module, "capture", lambda step: graphs.append(step) or step)
     for captures in (False, True):
         learner = small(algorithm, **({} if algorithm == "ppo" else KEPT))
         steps = [value for value in vars(learner).values() if isinstance(value, Captured)]
         assert steps
         for step in steps:
-            step._captures = captures
+            step.captures = captures
         if algorithm == "sac":
             rows = torch.Generator().manual_seed(1)
-            sizes = {name: kept.shape for name, kept in learner.replay._rows.items()}
+            sizes = {name: (KEPT["replay"], width) for name, width in learner.replay.widths.items()}
             learner.replay.add(**{name: torch.rand(shape, generator=rows) for name, shape in sizes.items()})
             learner.scale.see(torch.ones(6), torch.zeros(6, dtype=torch.bool))
         for _ in range(10):
-            learner.update(rollout_of(learner)) if algorithm == "ppo" else learner._update()
-        replayed += sum(step._replay is not None for step in steps)
+            learner.update(rollout_of(learner)) if algorithm == "ppo" else learner.update()
         found[captures] = learner.arrays() | learner.figures()
-    assert replayed == len(steps)
+    assert len(graphs) == len(steps)
     for name, array in found[False].items():
         np.testing.assert_array_equal(array, found[True][name], err_msg=name)
 
@@ -327,13 +327,13 @@ def test_the_rate_follows_the_divergence_of_an_entry_of_the_action(divergence, f
     for worlds in (1, 2):
         learner = small("ppo", kl=aim, learning_rate=2e-3, num_worlds=6 * worlds)
         rollout = shifted(learner, np.sqrt(2 * divergence * aim))
-        learner._update_policy(rollout)
+        learner.update_policy(rollout)
         figures = learner.figures()
         assert figures["kl"] == pytest.approx(OUTPUTS * divergence * aim, rel=1e-3)
         assert learner.rate.item() == pytest.approx(2e-3 * factor)
         assert figures["learning_rate"] == pytest.approx(2e-3 * factor)  # what was stepped with
         learner.set_rates(0.0)  # a new iteration goes on with the rate that was found
-        learner._update_policy(shifted(learner, np.sqrt(2 * aim)))
+        learner.update_policy(shifted(learner, np.sqrt(2 * aim)))
         assert learner.figures()["learning_rate"] == pytest.approx(2e-3 * factor)
 
 
@@ -341,7 +341,7 @@ def test_the_rate_stays_within_its_bounds():
     given = {"kl": 1e-3, "learning_rate": 1e-3, "least_rate": 9e-4, "largest_rate": 1.1e-3}
     for shift, bound in ((1.0, 9e-4), (0.0, 1.1e-3)):
         learner = small("ppo", **given)
-        learner._update_policy(shifted(learner, shift))
+        learner.update_policy(shifted(learner, shift))
         assert learner.rate.item() == pytest.approx(bound)
 
 
@@ -401,7 +401,7 @@ def test_a_step_of_trpo_gains_and_stays_within_its_divergence(max_kl):
     def surrogate(vector):
         return -clipped_loss(vector, want, 1e9, 0.0)
 
-    learner._step(rollout)
+    learner.step_policy(rollout)
     after = packed(learner.policy)
     assert divergence(want, before) < 1e-6
     assert 0.2 * max_kl < divergence(want, after) < max_kl * (1 + 1e-3)
@@ -425,7 +425,7 @@ def test_a_step_of_trpo_that_gains_nothing_is_not_made():
     learner = small("trpo")
     rollout, before = shifted(learner, 0.0), packed(learner.policy)
     rollout.advantage.fill_(0.0)
-    learner._step(rollout)
+    learner.step_policy(rollout)
     np.testing.assert_allclose(packed(learner.policy), before, atol=1e-6)
 
 
@@ -584,7 +584,7 @@ def test_a_loss_in_bfloat16_is_near_that_in_float32():
     found = {}
     for kind in ("float32", "bfloat16"):
         learner = small("ppo", precision=kind, gradient_norm=0.0)
-        learner._update_policy(rollout_of(learner))
+        learner.update_policy(rollout_of(learner))
         found[kind] = learner.figures()["policy_loss"], slopes(learner)
         assert learner.policy(torch.zeros(1, INPUTS)).dtype == torch.float32
     assert 0.0 < abs(found["bfloat16"][0] - found["float32"][0]) < 0.02

@@ -60,7 +60,7 @@ def scripted(monkeypatch):
 
     monkeypatch.setattr(selection, "evaluate", found)
     monkeypatch.setattr(selection, "bind", lambda checkpoint, sim: SimpleNamespace(checkpoint=checkpoint))
-    monkeypatch.setattr(selection.Selection, "_build", lambda self: Nothing())
+    monkeypatch.setattr(selection, "evaluated_worlds", lambda job: Nothing())
     return wanted, policies
 
 

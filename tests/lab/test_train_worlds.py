@@ -152,7 +152,7 @@ class Watched:
             assert ended[moved].all()
             self.placed += [(world, {n: a[world].copy() for n, a in after.items()}) for world in moved]
             if obs is not None:
-                np.testing.assert_array_equal(obs, env._obs()["obs"])
+                np.testing.assert_array_equal(obs, env.sim.transition.obs.numpy())
             return obs
 
         monkeypatch.setattr(self.backplay, "see", noted_see)
@@ -229,14 +229,14 @@ def test_the_oldest_states_go(monkeypatch):
     monkeypatch.setattr(starts, "KEPT", 8)
     worlds = Worlds(learner_env(WORLDS, HORIZON), start_share=0.3)
     watched, act, newest = Watched(worlds, monkeypatch), holding(worlds, 0.6), []
-    keep = worlds.backplay._keep
+    keep = worlds.backplay.keep
 
     def noted(world):
         notes = worlds.backplay.notes[starts.NUMBER][world]
         newest.extend(key_of(noted_of(worlds.backplay), world, note) for note in range(notes))
         keep(world)
 
-    monkeypatch.setattr(worlds.backplay, "_keep", noted)
+    monkeypatch.setattr(worlds.backplay, "keep", noted)
     for _ in range(16 * HORIZON):
         worlds.step(act())
     assert len(newest) > 16

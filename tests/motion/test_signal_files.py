@@ -1,5 +1,6 @@
 """Recordings of signals: what pandas and NumPy read back, long ones, failed ones."""
 
+import contextlib
 import json
 import re
 
@@ -111,12 +112,14 @@ def test_long_recordings_go_to_disk_in_pieces(tmp_path, monkeypatch, suffix):
         pd = pytest.importorskip("pandas")
     recorded(tmp_path / f"whole.{suffix}", every=2)
     monkeypatch.setattr(record, "CHUNK", 2 * 3 * 6)
-    written = []
-    monkeypatch.setattr(
-        record.SignalRecorder,
-        "flush",
-        lambda self, flush=record.SignalRecorder.flush: (written.append(len(self._held)), flush(self)),
-    )
+    written, opened = [], record.FORMATS[f".{suffix}"]
+
+    @contextlib.contextmanager
+    def counting(*arguments):
+        with opened(*arguments) as write:
+            yield lambda samples: (written.append(len(samples["time"])), write(samples))
+
+    monkeypatch.setitem(record.FORMATS, f".{suffix}", counting)
     recorded(tmp_path / f"pieces.{suffix}", every=2)
     assert written == [2, 1]
     if suffix == "parquet":

@@ -19,10 +19,10 @@ from myowarp.motion.tracking import (
     SUBSTEPS,
     WINDOW,
     Activation,
-    _excitation,
     controlled,
     equations,
     gains_of,
+    illinois_root,
     track,
 )
 from myowarp.osim.body.hill_muscle import HillMuscle
@@ -93,7 +93,7 @@ def test_the_excitation_that_reaches_a_force():
     def off(excitation):
         return whole * excitation ** np.array([1.0, 3.0, 0.5, 1.0, 1.0]) - target
 
-    found = _excitation(off, low, high, off(low), off(high))
+    found = illinois_root(off, low, high, off(low), off(high))
     np.testing.assert_allclose(off(found)[0, :2], 0.0, atol=MET)
     np.testing.assert_array_equal(found[0, 2:], [0.02, 1.0, 0.02])
 

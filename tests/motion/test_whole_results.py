@@ -22,7 +22,8 @@ from myowarp.osim.body.skeleton import Bones
 ROOT = Path(__file__).parents[2]
 ARM, BEND = ROOT / "examples/arm.osim", ROOT / "examples/arm_bend.mot"
 ENDLESS = """
-import signal, sys
+import signal
+import sys
 from pathlib import Path
 import numpy as np
 from myowarp.motion.storage import Storage, Tables

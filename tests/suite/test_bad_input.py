@@ -323,16 +323,6 @@ def test_step_of_ended_worlds():
         env.step(GOOD)
 
 
-def test_ended_worlds_are_known_without_a_look_at_the_step(monkeypatch):
-    """As on CUDA, where `step` leaves out what would wait for the device."""
-    env = make(autoreset_mode="disabled", max_episode_steps=1)
-    monkeypatch.setattr(env, "_complete", lambda info: None)
-    env.reset(seed=3)
-    env.step(GOOD)
-    with pytest.raises(ResetNeeded, match=r"worlds \[0, 1, 2\] have ended"):
-        env.step(GOOD)
-
-
 @pytest.fixture(scope="module")
 def single():
     return gym.make(ID, device="cpu")

@@ -58,9 +58,9 @@ def command(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def page(command):
-    session = command._open(KEY, "random")
+    session = command.open(KEY, "random")
     server = open_server(0, "test")
-    live = Live(server, session, command._choices())
+    live = Live(server, session, command.choices())
     thread = threading.Thread(target=live.run, daemon=True)
     thread.start()
     yield live, f"ws://127.0.0.1:{server.get_port()}"
@@ -92,7 +92,7 @@ def test_body_muscles_and_readings_arrive(page, client):
     assert any("bonus" in part.get("content", "") for part in client.parts.values())
     first = steps(live)
     until(lambda: steps(live) > first + 5)
-    tubes = live._figure_shown._tubes._handle
+    tubes = live.figure.tubes.handle
     seen, places = live.session.seen(0), tubes.batched_positions.copy()
     assert np.isfinite(places).all()
     assert len(places) >= len(seen.activation)
@@ -121,7 +121,7 @@ def test_a_slider_weakens_the_chosen_muscle_beside_its_twin(page, client):
     live = page[0]
     session = live.session
     client.set("muscles", "BIClong")
-    until(lambda: live._panel.patient._muscles == "BIClong")
+    until(lambda: live.panel.patient.muscles == "BIClong")
     client.set("beside: the same without the change", True)
     until(lambda: live.session.beside)
     client.set("strength left", 0.25)
@@ -134,7 +134,7 @@ def test_a_slider_weakens_the_chosen_muscle_beside_its_twin(page, client):
     expected = np.ones_like(strength)
     expected[: session.twin, index] = 0.25
     np.testing.assert_array_equal(strength, expected)
-    until(lambda: live._twin is not None and "before the change" in client.status())
+    until(lambda: live.twin is not None and "before the change" in client.status())
     client.push("Undo all changes")
     until(lambda: session.patient.value(knob, 0, ["BIClong"]) == 1.0)
     client.set("beside: the same without the change", False)
@@ -181,7 +181,7 @@ def test_what_is_no_message_changes_nothing(page, client, capfd, caplog):
         rude.send({"type": "GuiUpdateMessage", "uuid": uuid, "updates": private})
         rude.send({"type": "ShareUrlRequest"})
         rude.send({"type": "no such type"})
-        rude._socket.close_socket() if hasattr(rude._socket, "close_socket") else rude.leave()
+        rude.vanish()
         half = socket.create_connection(("127.0.0.1", live.server.get_port()))
         half.send(b"GET / HTTP/1.1\r\n\x00\xff")
         half.close()
@@ -193,13 +193,12 @@ def test_what_is_no_message_changes_nothing(page, client, capfd, caplog):
     assert "Traceback" not in said
     assert not of_page
     assert not client.done
-    knob = live.session.patient.knobs["sarcopenia strength"]
-    slider = live._panel.patient._sliders[knob,]
-    assert slider.value == 1.0
-    assert not slider._impl.removed
+    patient, chosen = live.session.patient, live.panel.patient.muscles
+    knob = patient.knobs["sarcopenia strength"]
+    assert live.panel.patient.sliders[knob,].value == 1.0
     for value in (0.75, 1.0):
         client.set("strength left", value)
-        until(lambda value=value: live._panel.patient._value((knob,)) == value)
+        until(lambda value=value: patient.value(knob, 0, patient.groups[chosen]) == pytest.approx(value))
 
 
 @pytest.mark.parametrize("camera", MISSTATED, ids=str)
@@ -328,7 +327,7 @@ def test_a_device_acts_where_it_is_worn():
 
 
 def test_traces_show_what_is_chosen_and_the_twin_dashed(page, client):
-    traces = page[0]._panel.traces
+    traces = page[0].panel.traces
 
     def curves():
         parts = list(client.parts.values())
@@ -360,21 +359,21 @@ def test_traces_show_what_is_chosen_and_the_twin_dashed(page, client):
 
 def test_a_muscle_that_is_clicked_is_named_and_traced(page, client):
     live = page[0]
-    live._figure_shown._pick("BRA")
-    until(lambda: ("force", "BRA") in live._panel.traces.chosen)
-    until(lambda: live._tag.visible and live._tag.text.startswith("BRA (elbow flexors) · activation "))
-    live._figure_shown._pick("BRA")
-    until(lambda: not live._tag.visible)
+    live.figure.pick("BRA")
+    until(lambda: ("force", "BRA") in live.panel.traces.chosen)
+    until(lambda: live.tag.visible and live.tag.text.startswith("BRA (elbow flexors) · activation "))
+    live.figure.pick("BRA")
+    until(lambda: not live.tag.visible)
 
 
 def test_looking_back_shows_what_was_seen(page, client):
     live = page[0]
-    until(lambda: len(live._history.moments) > 30)
+    until(lambda: len(live.history.moments) > 30)
     client.set("seconds ago", 0.5)
     until(lambda: "0.5 s back" in client.status())
-    then = live._history.back(0.5).seen[0].qpos
-    until(lambda: np.array_equal(live._figure_shown.data.qpos, then))
-    assert not np.array_equal(then, live._history.moments[-1].seen[0].qpos)
+    then = live.history.back(0.5).seen[0].qpos
+    until(lambda: np.array_equal(live.figure.data.qpos, then))
+    assert not np.array_equal(then, live.history.moments[-1].seen[0].qpos)
     client.press("Play")
     until(lambda: live.back == 0.0 and live.playing)
 
@@ -425,7 +424,7 @@ def test_nothing_moves_while_no_page_is_open(page):
 def test_traffic_is_bounded(page, client, monkeypatch):
     """With room for a fifth of what is moved, fewer frames are sent, not more bytes."""
     live = page[0]
-    until(lambda: client.types and live._panel)
+    until(lambda: client.types and live.panel)
     rates = []
     for bound in (live_module.TRAFFIC, 5e4):
         monkeypatch.setattr(live_module, "TRAFFIC", bound)
@@ -558,7 +557,7 @@ def test_human_mode_without_a_display_is_a_page(monkeypatch, display, caplog):
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     env = gym.make_vec(f"MyoWarp/{KEY}", num_envs=2, device="cpu", render_mode="human")
     env.reset(seed=0)
-    page = Client(f"ws://127.0.0.1:{env.unwrapped._pictures._viewer.server.get_port()}")
+    page = Client(f"ws://127.0.0.1:{env.unwrapped.pictures.viewer.server.get_port()}")
     env.step(env.action_space.sample())
     until(lambda: {"MeshMessage", "BatchedMeshesMessage"} <= page.types.keys())
     assert page.lights() == LIGHTS
@@ -581,14 +580,14 @@ def test_human_mode_without_a_display_is_a_page(monkeypatch, display, caplog):
 )
 def test_a_page_starts_no_policy_of_another_task(task, policy, starts, monkeypatch):
     monkeypatch.setattr("myowarp.view.browser.session.Session", lambda *args, **options: args[3])
-    assert View(Said(Setup(task=KEY)))._open(task, policy) == starts
+    assert View(Said(Setup(task=KEY))).open(task, policy) == starts
 
 
 def test_a_policy_that_was_asked_for_acts(monkeypatch):
     monkeypatch.setattr("myowarp.view.browser.session.Session", lambda *args, **options: args[3])
     policy = "baselines/myoHandReachFixed-v0"
     assert (
-        View(Said(Setup(task="myoHandReachRandom-v1")), policy=policy)._open("myoHandReachRandom-v1", policy)
+        View(Said(Setup(task="myoHandReachRandom-v1")), policy=policy).open("myoHandReachRandom-v1", policy)
         == policy
     )
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import warp as wp
 from often import goals, of_each
+from structs import fields, is_struct
 
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.task import TASKS
@@ -161,7 +162,7 @@ def drawn(sim):
     arrays = [data.qpos, data.mocap_pos, data.mocap_quat]
     arrays += [getattr(model, name) for name in sim.scene.spec.batched]
     for value in vars(sim.shards[0].program).values():
-        members = [getattr(value, name) for name in value._cls.vars] if hasattr(value, "_cls") else [value]
+        members = fields(value).values() if is_struct(value) else [value]
         arrays += [m for m in members if isinstance(m, wp.array) and m.shape[0] == sim.num_worlds]
     return np.concatenate([array.numpy().reshape(sim.num_worlds, -1) for array in arrays], axis=1)
 

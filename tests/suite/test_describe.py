@@ -182,8 +182,9 @@ def columns_of(key, name):
     return walked(key).transition.obs.numpy()[:, block["first"] : block["last"] + 1]
 
 
+@lru_cache
 def poses(key):
-    """Return MuJoCo C's data of the full model in each world's state."""
+    """Return the full model, and MuJoCo C's data of it in each world's state."""
     sim = walked(key)
     model = full_model(TASKS[key])
     found = []
@@ -246,14 +247,12 @@ OBJECTS = {
 }
 
 
-@pytest.mark.parametrize("key", [key for key in SCENES if TASKS[key].family in OBJECTS])
+@pytest.mark.parametrize("key", of_each([key for key in SCENES if TASKS[key].family in OBJECTS]))
 def test_object_columns(key):
-    sim = walked(key)
-    model, _ = poses(key)
+    sim, model = walked(key), full_model(TASKS[key])
     name, read = OBJECTS[TASKS[key].family]
     for world in range(WORLDS):
         data = mujoco.MjData(model)
-        model.body_pos[:] = full_model(TASKS[key]).body_pos
         if TASKS[key].family == "keyturn":
             model.body("key").pos[:] = sim.scene.model.body_pos.numpy()[world, sim.shards[0].program.key_body]
         data.qpos[:] = sim.scene.data.qpos.numpy()[world]
@@ -282,7 +281,7 @@ def numbers(text):
     return [float(found) for found in re.findall(r"(?<![\w.])\d+\.?\d*(?:e-?\d+)?(?=\s|$|,|;)", text)]
 
 
-@pytest.mark.parametrize("key", [key for key in SCENES if TASKS[key].family in ("pose", "reach")])
+@pytest.mark.parametrize("key", of_each([key for key in SCENES if TASKS[key].family in ("pose", "reach")]))
 def test_errors_bonus_and_endings_are_as_described(key):
     """Error, bonus and the two thresholds from the observation and the printed numbers alone."""
     sim, facts = walked(key), facts_of(key)
@@ -333,7 +332,7 @@ def test_thresholds_of_key_pen_and_balls(factor):
         qpos = sim.scene.data.qpos.numpy().copy()
         change(qpos[0])
         sim.scene.data.qpos.assign(qpos)
-        sim.shards[0]._refresh()
+        sim.shards[0].refresh()
         sim.shards[0].launch_scoring()
         return bool(sim.transition.solved.numpy()[0]), bool(sim.transition.failed.numpy()[0])
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 from reference import fatigue_3ccr, fatigue_ma2009
+from structs import fields
 
 import myowarp.tasks  # noqa: F401
 from myowarp.definitions.parameter import Ramp, Uniform
@@ -327,8 +328,9 @@ class TestResets:
         for sim in sims:
             stepped(sim, 3)
         hurt = sims[1]
-        for name in hurt.shards[0].effects[0].state._cls.vars:
-            getattr(hurt.shards[0].effects[0].state, name).numpy()[2] = np.nan
+        state = fields(hurt.shards[0].effects[0].state).values()
+        for array in state:
+            array.numpy()[2] = np.nan
         hurt.scene.muscles.workload.numpy()[2:3] = np.nan  # empty where the model has no use for it
         hurt.scene.data.qvel.numpy()[2] = np.nan
         whole, hurt_fatigue = (stepped(sim, 1, seed=1) for sim in sims)
@@ -340,8 +342,7 @@ class TestResets:
         assert np.isfinite(hurt_fatigue).all()
         assert hurt_fatigue[2].min() > 0
         assert not hurt.transition.fault.numpy().any()
-        for name in hurt.shards[0].effects[0].state._cls.vars:
-            assert np.isfinite(getattr(hurt.shards[0].effects[0].state, name).numpy()).all()
+        assert all(np.isfinite(array.numpy()).all() for array in state)
 
     def test_a_fault_of_the_body_alone_does_not_cure(self, model):
         """With carry-over a broken state costs the episode, not the history."""

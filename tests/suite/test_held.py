@@ -19,7 +19,7 @@ AGREES = 1e-3  # m and rad, against float32 over half a second
 
 def opened(**options):
     command = View(Said(Setup(task=FREE, device="cpu")), **options)
-    return command._open(command._title, command._policy)
+    return command.open(command.title, command.first_policy)
 
 
 def test_a_held_root_moves_the_others_as_a_welded_one_does():

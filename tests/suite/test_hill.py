@@ -512,8 +512,7 @@ def act(muscles, reads, dt, kernel=None):
         elif kernel is hill_kernels.contract_hill:
             launch(kernel, (shape[0], 1), muscles, data, model, opt_timestep=opt.timestep, threads=1)
         else:
-            scratch = muscles._scratch
-            launch(kernel, 1, muscles, data, model, opt_timestep=opt.timestep, scratch=scratch)
+            launch(kernel, 1, muscles, data, model, opt_timestep=opt.timestep)
     names = ("activation", "fiber_length", "expected_length", "fiber_share", "tension", "damping")
     names += ("length", "velocity", "workload")
     found = {name: getattr(muscles, name).numpy().copy() for name in names} | {"bias": bias.numpy()}

@@ -198,9 +198,9 @@ def test_estimated_memory_is_what_the_arrays_take():
     def make(number):
         return mjw.make_data(sim.scene.oracle, nworld=number, nconmax=capacity.contacts, njmax=capacity.rows)
 
-    one, two, forty = (memory._bytes(make(number)) for number in (1, 2, 40))
+    one, two, forty = (memory.num_bytes(make(number)) for number in (1, 2, 40))
     assert forty == pytest.approx(one + 39 * (two - one), rel=0.02)
-    assert memory._bytes(sim.scene.data) == pytest.approx(forty, rel=0.05)
+    assert memory.num_bytes(sim.scene.data) == pytest.approx(forty, rel=0.05)
 
 
 @pytest.mark.parametrize("physics", ["parity", "fast"])
@@ -219,7 +219,7 @@ def test_memory_of_ground_per_world(monkeypatch):
 
     def engine(number):
         rows = {"nconmax": scene.capacity.contacts, "njmax": scene.capacity.rows}
-        return memory._bytes(mjw.make_data(scene.oracle, nworld=number, **rows))
+        return memory.num_bytes(mjw.make_data(scene.oracle, nworld=number, **rows))
 
     monkeypatch.setattr(memory, "available_memory", lambda device: 10**10)
     with pytest.raises(ValueError, match="worlds need at least") as caught:

@@ -41,7 +41,7 @@ def test_its_activations_give_the_wanted_accelerations_in_mujoco_c(task):
     sim = moving(task, 5)
     control = MuscleControl(sim)
     control(sim.transition.obs.numpy())
-    found = control._problems.x.numpy()
+    found = control.problems.x.numpy()
     model = full_model(sim.scene.spec)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     data, checked = mujoco.MjData(model), 0
@@ -67,9 +67,9 @@ def test_its_activations_give_the_wanted_accelerations_in_mujoco_c(task):
 
 def control_residual(control, world):
     """Return the torque that the bounds leave missing [N m]: R F a - tau of the weighted problem."""
-    problems = control._problems
+    problems = control.problems
     matrix, right = problems.matrix.numpy()[world], problems.right.numpy()[world]
-    damping = control._model.dof_damping.clip(muscle_control.LEAST_DAMPING)
+    damping = control.model.dof_damping.clip(muscle_control.LEAST_DAMPING)
     return (matrix @ problems.x.numpy()[world] - right) * damping
 
 
@@ -103,18 +103,18 @@ def test_its_way_leads_the_tip_to_its_target_in_mujoco_c():
     """
     sim = moving(ARM, 5)
     control, model = MuscleControl(sim), full_model(sim.scene.spec)
-    control._model = control._model.__copy__()
-    control._model.jnt_limited[:] = 0
+    control.model = control.model.__copy__()
+    control.model.jnt_limited[:] = 0
     data, share = mujoco.MjData(model), 1e-5
     sites = [model.site(name).id for name in sim.scene.spec.tips]
     control(sim.transition.obs.numpy())
     for world, qpos in enumerate(sim.scene.data.qpos.numpy().astype(float)):
-        data.qpos[:] = control._data.qpos[:] = qpos
-        mujoco.mj_fwdPosition(control._model, control._data)
-        leads, slopes, _ = jacobian(control._model, control._ties, qpos)
+        data.qpos[:] = control.data.qpos[:] = qpos
+        mujoco.mj_fwdPosition(control.model, control.data)
+        leads, slopes, _ = jacobian(control.model, control.ties, qpos)
         mujoco.mj_fwdPosition(model, data)
         before = data.site_xpos[sites].copy()
-        mujoco.mj_integratePos(model, data.qpos, slopes @ control._way(world, leads, slopes), share)
+        mujoco.mj_integratePos(model, data.qpos, slopes @ control.way(world, leads, slopes), share)
         mujoco.mj_fwdPosition(model, data)
         target = np.array(list(sim.shards[0].program.goal_markers(world).values()))
         way, moved = target - before, (data.site_xpos[sites] - before) / share
@@ -125,14 +125,14 @@ def test_its_way_keeps_within_the_limits_of_joints():
     """What would leave its range goes to its limit."""
     sim = moving(ARM, 5)
     control, limited = MuscleControl(sim), 0
-    model, data = control._model, control._data
+    model, data = control.model, control.data
     for world, qpos in enumerate(sim.scene.data.qpos.numpy().astype(float)):
         data.qpos[:] = qpos
         mujoco.mj_fwdPosition(model, data)
-        leads, slopes, _ = jacobian(model, control._ties, qpos)
+        leads, slopes, _ = jacobian(model, control.ties, qpos)
         joints = model.dof_jntid[leads]
         low, high = model.jnt_range[joints].T - qpos[model.jnt_qposadr[joints]]
-        way = control._way(world, leads, slopes)
+        way = control.way(world, leads, slopes)
         inside = (low <= 0.0) & (high >= 0.0)
         assert ((way >= low - 1e-9) & (way <= high + 1e-9))[inside].all()
         limited += np.count_nonzero((way == low) | (way == high))
@@ -152,7 +152,7 @@ def test_weak_muscles_are_asked_for_more():
     for sim in (whole, weak):
         control = MuscleControl(sim)
         control(sim.transition.obs.numpy())
-        found.append(control._problems.x.numpy())
+        found.append(control.problems.x.numpy())
     inside = (found[0] > 0.02) & (found[1] < 0.9)
     assert inside.sum() > 3
     np.testing.assert_allclose((found[1] / found[0])[inside], 2.0, rtol=0.05)

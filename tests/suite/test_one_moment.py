@@ -128,7 +128,7 @@ def test_muscles_end_on_their_bones_while_it_plays(scene, tmp_path):
         task = tmp_path / "model.xml"
     command = View(Said(Setup(task=task, device="cpu")), policy=SCENES[scene])
     server = open_server(0, "test")
-    live = Live(server, command._open(command._title, command.policy), command._choices())
+    live = Live(server, command.open(command.title, command.policy), command.choices())
     live.ask("play", live.play)  # a model of one's own begins at rest
     ends = muscle_ends(live.session.sim.full_model)
     thread = threading.Thread(target=live.run, daemon=True)

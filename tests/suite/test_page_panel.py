@@ -37,7 +37,7 @@ ROUNDING = 2e-5  # m, N m: positions are float32 in the worlds
 
 @pytest.fixture(scope="module")
 def sessions():
-    return {key: View(Said(Setup(task=key, device="cpu")))._open(key, "random") for key in (ELBOW, HAND)}
+    return {key: View(Said(Setup(task=key, device="cpu"))).open(key, "random") for key in (ELBOW, HAND)}
 
 
 def test_every_task_has_one_place_in_the_tree():
@@ -79,7 +79,7 @@ def test_traces_leave_the_body_its_height(body):
     for width, height in ((956, 800), (1276, 1000), (700, 600)):
         eye, middle, _ = above_traces(camera, 2 * half, ASPECT, (width, height))
         np.testing.assert_allclose(axes[2], (middle - eye) / np.linalg.norm(middle - eye), atol=1e-6)
-        right, up, depth = axes @ (framing._points(data, {}) - eye).T
+        right, up, depth = axes @ (framing.points(data, {}) - eye).T
         focal = 0.5 * height / np.tan(half)  # px
         rows, columns = 0.5 * height - focal * up / depth, 0.5 * width + focal * right / depth
         assert rows.min() >= 0.0

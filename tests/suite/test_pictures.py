@@ -128,7 +128,7 @@ def test_everything_that_matters_is_in_the_picture(sim):
         close = Framing(model, tips, ASPECT)
         close.fit([(data, seen.goals)])
         # Where the framed points touch the border: they span all of the picture between its borders one way.
-        inside = place_in_picture(model, close.camera(data, seen.goals), close._points(data, seen.goals))
+        inside = place_in_picture(model, close.camera(data, seen.goals), close.points(data, seen.goals))
         assert np.abs(inside).max() == pytest.approx(0.9, abs=0.01)
         assert np.ptp(inside, axis=0).max() == pytest.approx(1.8, abs=0.02)
 
@@ -276,7 +276,7 @@ def test_every_family_is_drawn_with_tips_ghosts_and_captions(sim):
     try:
         with WorldRenderer(sim.full_model, 200, 150, tips=tips) as renderer:
             plain = renderer.frame(seen)
-            scene = renderer._canvas.scene
+            scene = renderer.scene
             balls = np.array([g.pos for g in scene.geoms[: scene.ngeom] if g.type == SPHERE])
             written = renderer.frame(seen, ["0.10 s"])
             legend = renderer.frame(seen, legend=True)
@@ -331,11 +331,11 @@ def test_environment_draws_chosen_worlds():
     except NoGraphicsError as error:
         pytest.skip(str(error))
     for picture, world in ((three, 3), (one, 1)):
-        again = env._pictures.frame(env.sim, world)
+        again = env.pictures.frame(env.sim, world)
         # What the renderer drew before may change the last bits of translucent pixels.
         assert np.abs(picture.astype(int) - again).max() < 10
     assert np.abs(three.astype(int) - one).max() > 100
-    assert env._pictures.snapshot(env.sim, 3).muscles["force"].max() > 1.0
+    assert env.pictures.snapshot(env.sim, 3).muscles["force"].max() > 1.0
     env.close()
     with pytest.raises(ValueError, match="worlds must be different numbers from 0 to 3"):
         MyoWarpVectorEnv(key, 4, render_worlds=[4], **options)
@@ -364,7 +364,7 @@ def test_environment_writes_the_episode_on_pictures(mode):
         if mode == "same_step" and truncated[1]:
             time = total = 0.0
         success = "  success" if info["success"][1] and time else ""
-        assert env._text.lines() == [[f"{time:.2f} s  return {total:.1f}{success}"]]
+        assert env.captions.lines() == [[f"{time:.2f} s  return {total:.1f}{success}"]]
         try:
             (written,), (drawn,) = env.render(), plain.render()
         except NoGraphicsError as error:
@@ -374,7 +374,7 @@ def test_environment_writes_the_episode_on_pictures(mode):
         assert not differs[40:].any()
     state = env.get_state()
     env.set_state(state)
-    assert env._text.lines() == [["0.00 s  return 0.0"]]
+    assert env.captions.lines() == [["0.00 s  return 0.0"]]
     env.close()
     plain.close()
 

@@ -127,8 +127,8 @@ def test_a_picture_is_one_moment(recorded):
 
     def watched():
         draw()
-        written = float(re.search(r"([\d.]+) s</b> · frame", page._drive._status.content)[1])
-        seen.append((page.time, page._traces.now, written, page._slider.value, page._figure.data.qpos.copy()))
+        written = float(re.search(r"([\d.]+) s</b> · frame", page.drive.status.content)[1])
+        seen.append((page.time, page.traces.now, written, page.slider.value, page.figure.data.qpos.copy()))
 
     page.draw = watched
     try:
@@ -137,9 +137,9 @@ def test_a_picture_is_one_moment(recorded):
         browser.set("time [s]", asked := 0.5)
         assert until(lambda: not page.playing and abs(page.time - 0.5) < 0.01)
         page.ask("pick", lambda: page.pick("BRA"))
-        assert until(lambda: ("force", "BRA") in page._traces.chosen and page._tag.visible)
-        assert "BRA · activation" in page._tag.text
-        labels = [curve.label for chart in page._traces.charts() for curve in chart.curves]
+        assert until(lambda: ("force", "BRA") in page.traces.chosen and page.tag.visible)
+        assert "BRA · activation" in page.tag.text
+        labels = [curve.label for chart in page.traces.charts() for curve in chart.curves]
         assert f"{measured} EMG" in labels
         browser.leave()
     finally:

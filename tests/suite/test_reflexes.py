@@ -158,7 +158,7 @@ def sensed(sim, qpos, qvel):
     control(np.zeros((sim.num_worlds, 1)))
     data.qpos[:], data.qvel[:] = qpos, qvel
     mujoco.mj_forward(model, data)
-    return control._legs[0].senses.numpy()[0, 0], data
+    return control.legs[0].senses.numpy()[0, 0], data
 
 
 def states(sim, number=5):
@@ -250,7 +250,7 @@ def test_loads_are_those_of_mujocos_contacts(sim):
                 if body:
                     loads[feet[body]] += force[0] / weight
         control(np.zeros((2, 1)))
-        legs = control._legs[0]
+        legs = control.legs[0]
         found = legs.senses.numpy()[1, 0]["load"]
         assert found == pytest.approx(loads, abs=0.02)
         seen.append(loads)

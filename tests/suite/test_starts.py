@@ -209,7 +209,7 @@ def test_without_the_trial_starts_fail_at_once(monkeypatch, tmp_path):
     """What the test above measures is due to the trial in the engine."""
     monkeypatch.setenv("MYOWARP_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(starts, "NUM_STARTS", 64)
-    monkeypatch.setattr(starts.Search, "_failed", lambda self, age: np.zeros(starts.BATCH, dtype=bool))
+    monkeypatch.setattr(starts.Search, "fails", lambda self, age: np.zeros(starts.BATCH, dtype=bool))
     assert share_failing(KEY) > 10 * FAILING
 
 
@@ -219,11 +219,11 @@ def test_an_object_that_leaves_its_place_is_lost():
     search = starts.Search(spec, simulation(spec.key, "fixed").shards[0])
     search.shard.step()
     age = np.ones(NUM_WORLDS, dtype=np.int32)
-    assert not search._lost(age).any()
+    assert not search.lost(age).any()
     qpos = search.shard.scene.data.qpos.numpy().copy()
     qpos[3, joint_address(search.model, search.model.body("ball2").id)[2]] -= starts.HOLD_DISTANCE
     search.shard.scene.data.qpos.assign(qpos)
-    assert np.flatnonzero(search._lost(age)).tolist() == [3]
+    assert np.flatnonzero(search.lost(age)).tolist() == [3]
 
 
 def test_search_is_made_once_with_a_bar_if_wanted(capsys, monkeypatch, tmp_path):

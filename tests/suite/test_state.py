@@ -145,9 +145,7 @@ def arrays_of(owner, seen):
     if id(owner) in seen or is_code or not hasattr(owner, "__dict__"):
         return
     seen.add(id(owner))
-    structs = getattr(getattr(owner, "_cls", None), "vars", {})
-    values = vars(owner) | {name: getattr(owner, name) for name in structs}
-    for name, value in values.items():
+    for name, value in vars(owner).items():
         if isinstance(value, wp.array):
             yield f"{type(owner).__name__}.{name}", value
         elif isinstance(value, (list, tuple, dict)):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 from often import of_each
+from structs import is_struct
 
 import myowarp.tasks
 from myowarp.definitions.body import BODIES, CAUTIOUS_STEP, CoarseStep
@@ -98,13 +99,12 @@ def test_coarse_step_is_the_family_s_or_the_body_s():
 def state(sim):
     """Return a copy of all that a score could change: data, episode, and the program's arrays."""
     owners = [sim.shards[0].program, sim.scene.data, sim.episode, sim.scene.muscles]
-    owners += [value for value in vars(sim.shards[0].program).values() if hasattr(value, "_cls")]
+    owners += [value for value in vars(sim.shards[0].program).values() if is_struct(value)]
     arrays = {}
     for i, owner in enumerate(owners):
-        names = owner._cls.vars if hasattr(owner, "_cls") else vars(owner)
-        for name in names:
-            if isinstance(getattr(owner, name), wp.array):
-                arrays[i, name] = getattr(owner, name).numpy().copy()
+        for name, value in vars(owner).items():
+            if isinstance(value, wp.array):
+                arrays[i, name] = value.numpy().copy()
     return arrays
 
 

@@ -180,8 +180,8 @@ class TestTransfer:
                 mujoco.mj_forward(model, data)
                 lengths.append(data.actuator_length[MOVED])
             assert lengths[0] == pytest.approx(lengths[1], abs=1e-12)
-        assert sim.shards[0]._idle == simulation(HAND, 1, ()).shards[0]._idle
-        assert sim.shards[0]._idle
+        assert sim.shards[0].idle_kernels == simulation(HAND, 1, ()).shards[0].idle_kernels
+        assert sim.shards[0].idle_kernels
 
     def test_surgery_and_its_reversal(self):
         """At a time of the life: nothing before, and nothing left of it after."""

@@ -252,7 +252,7 @@ def test_each_slider_moves_a_signal_of_the_muscles(tmp_path):
     (tmp_path / "effort.py").write_text(EFFORT)
     command = View(Said(Setup(task=ELBOW, device="cpu")), policy=f"{tmp_path}/effort.py:effort")
     server = open_server(0, "test")
-    live = Live(server, command._open(ELBOW, command.policy), command._choices())
+    live = Live(server, command.open(ELBOW, command.policy), command.choices())
     live.playing = False
     thread = threading.Thread(target=live.run, daemon=True)
     thread.start()

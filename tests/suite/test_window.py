@@ -26,7 +26,7 @@ env.reset(seed=0)
 for level in (-1.0, 1.0):
     for _ in range(40):
         env.step(np.full((2, 6), level, dtype=np.float32))
-    print("shown", type(env.unwrapped._pictures._viewer).__name__, flush=True)
+    print("shown", type(env.unwrapped.pictures.viewer).__name__, flush=True)
     sys.stdin.readline()
 env.close()
 env.close()

@@ -57,10 +57,10 @@ class Eval:
         if as_json:
             print(json.dumps({**head, **results}, indent=1))
         else:
-            _print_table(head, results)
+            print_table(head, results)
 
 
-def _print_table(head: dict[str, Any], results: dict[str, dict[str, Any]]) -> None:
+def print_table(head: dict[str, Any], results: dict[str, dict[str, Any]]) -> None:
     """Print figures, a column for each mode."""
     console = Console(highlight=False)
     with_conditions = f", conditions {' '.join(head['conditions'])}" if head["conditions"] else ""

@@ -75,16 +75,16 @@ class View:
         check_least(1, worlds=self.worlds)
         if (source := self.recording.source(self.asked)) is not None:
             return self._play(source)
-        if (run := self._run()) is not None:
+        if (run := self.of_run()) is not None:
             return run()
-        find_policy(self._policy, self._find(self._title).spec)
+        find_policy(self.first_policy, self._find(self.title).spec)
         if self.preset is not None:
             PRESETS[self.preset]
         check_port(self.port)
-        session, choices = self._open(self._title, self._policy), self._choices()
+        session, choices = self.open(self.title, self.first_policy), self.choices()
         if self.preset is not None:
             session.become(self.preset)
-        server = open_server(self.port, self._title)
+        server = open_server(self.port, self.title)
         try:
             live = Live(server, session, choices)
             if self.preset is not None:
@@ -122,8 +122,8 @@ class View:
         with contextlib.suppress(KeyboardInterrupt):
             page.run()
 
-    def _run(self) -> View | None:
-        """Return the command for a run's folder in place of a task: the task and the policy of the run."""
+    def of_run(self) -> View | None:
+        """Return the command of a run's task and policy, where its folder stands in place of a task."""
         from myowarp.apps.policies.follow import is_run
         from myowarp.apps.reports.evaluation import plan_evaluation
 
@@ -135,12 +135,12 @@ class View:
         return dataclasses.replace(self, asked=said, policy=asked.task)
 
     @property
-    def _policy(self) -> str:
+    def first_policy(self) -> str:
         """Return the first policy: the user's, else one that suits a model to look at, or a task."""
         return self.policy or ("zero" if isinstance(self.asked.setup.task, Path) else "random")
 
     @property
-    def _title(self) -> str:
+    def title(self) -> str:
         """Return the page's name of the command's task."""
         return str(self.asked.setup.task).removeprefix("MyoWarp/")
 
@@ -149,22 +149,22 @@ class View:
         from myowarp.tasks.setups import complete
 
         asked = self.asked.setup
-        return complete(asked if title == self._title else dataclasses.replace(asked, task=title))
+        return complete(asked if title == self.title else dataclasses.replace(asked, task=title))
 
-    def _choices(self) -> Choices:
+    def choices(self) -> Choices:
         """Return what can be chosen; the task and the policy of the command come first."""
         from myowarp.definitions.task import TASKS
         from myowarp.view.browser.session import Choices
 
         return Choices(
-            tasks=list(dict.fromkeys((self._title, *TASKS))),
-            policies=lambda spec: policies_for(spec, self._policy),
+            tasks=list(dict.fromkeys((self.title, *TASKS))),
+            policies=lambda spec: policies_for(spec, self.first_policy),
             acting=self._acting,
             note=note_on,
-            open=self._open,
+            open=self.open,
         )
 
-    def _open(self, title: str, policy: str) -> Session:
+    def open(self, title: str, policy: str) -> Session:
         """Return the session of a task; a policy that cannot act there gives way to the best that can."""
         from myowarp.apps.policies.baselines import OWN, PREFIX
         from myowarp.apps.policies.find import BUILT_IN
@@ -172,15 +172,15 @@ class View:
         from myowarp.view.browser.session import Session
 
         setup = self._find(title)
-        offered = policies_for(setup.spec, self._policy)
-        if policy.startswith(PREFIX) and (title, policy) != (self._title, self._policy):
+        offered = policies_for(setup.spec, self.first_policy)
+        if policy.startswith(PREFIX) and (title, policy) != (self.title, self.first_policy):
             policy = OWN  # the baseline of this task, whichever it was before
         best = next(name for name in offered if not name.startswith(PREFIX))
         acts, root = policy if policy in offered else best, ""
-        file = self.asked.setup.task if title == self._title else None
+        file = self.asked.setup.task if title == self.title else None
         if not isinstance(file, Path):
             return Session(title, setup, self.worlds, acts, self._acting)
-        if not self.free and self._policy in BUILT_IN and (root := root_of(setup.spec)):
+        if not self.free and self.first_policy in BUILT_IN and (root := root_of(setup.spec)):
             setup = dataclasses.replace(setup, task=held(setup.spec, root))
         return Session(title, setup, self.worlds, acts, self._acting, file, root)
 

@@ -21,7 +21,7 @@ import shlex
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib import metadata
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ from myowarp.definitions.option import flag
 from myowarp.definitions.senses import PARAMETERS, SENSES, Told
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TaskSpec
+from myowarp.disk import version
 from myowarp.kernels.action import CENTER, STEEPNESS
 from myowarp.process import warn_once
 from myowarp.sim.build import oracle_model
@@ -197,8 +198,8 @@ def versions() -> dict[str, str]:
     found = {"python": platform.python_version()}
     for package in PACKAGES:
         try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
+            found[package] = version(package)
+        except PackageNotFoundError:
             continue
     return found
 
@@ -263,9 +264,9 @@ def save_policy(folder: Path, checkpoint: Checkpoint) -> None:
 def _contents(manifest: Mapping[str, Any], files: Mapping[str, Mapping[str, np.ndarray]]) -> dict[str, bytes]:
     """Return the contents of a checkpoint's files: arrays, and the manifest with their checksums."""
     contents = {name: _packed(arrays) for name, arrays in files.items()}
-    entries = {name: _entry(content) for name, content in contents.items()}
+    entries = {name: file_entry(content) for name, content in contents.items()}
     whole = {"format": FORMAT, **manifest, "files": entries}
-    contents[MANIFEST] = json.dumps(whole | {"digest": _digest(whole)}, indent=1).encode()
+    contents[MANIFEST] = json.dumps(whole | {"digest": manifest_digest(whole)}, indent=1).encode()
     return contents
 
 
@@ -309,7 +310,7 @@ def load_checkpoint(path: Path, *, learning: bool = False) -> Checkpoint:
     """
     folder = find_folder(path, learning=learning)
     try:
-        manifest = _read_manifest(folder)
+        manifest = read_manifest(folder)
         policy = _read_arrays(folder, POLICY, manifest)
         _agreed(folder, check_policy, manifest, policy)
     except CheckpointError:
@@ -319,12 +320,12 @@ def load_checkpoint(path: Path, *, learning: bool = False) -> Checkpoint:
     return Checkpoint(folder, manifest, policy)
 
 
-def _read_manifest(folder: Path) -> dict[str, Any]:
+def read_manifest(folder: Path) -> dict[str, Any]:
     """Return the manifest, checked against its own digest, and in its form."""
     try:
         manifest = json.loads((folder / MANIFEST).read_bytes())
         digest = manifest.pop("digest", None) if isinstance(manifest, dict) else None
-        wanted = _digest(manifest)
+        wanted = manifest_digest(manifest)
     except (OSError, ValueError, RecursionError) as error:
         raise CheckpointError(f"checkpoint {str(folder)!r} has no readable {MANIFEST} ({error})") from error
     if not isinstance(manifest, dict):
@@ -362,7 +363,7 @@ def _read_arrays(folder: Path, name: str, manifest: dict[str, Any]) -> dict[str,
             f"checkpoint {str(folder)!r} is damaged: {name} has {len(content)} bytes, its manifest says "
             f"{wanted['bytes']}"
         )
-    if _entry(content) != wanted:
+    if file_entry(content) != wanted:
         raise CheckpointError(f"checkpoint {str(folder)!r} was changed: {name} does not have its checksum")
     try:
         return dict(load(content))
@@ -379,12 +380,12 @@ def _packed(arrays: Mapping[str, np.ndarray]) -> bytes:
     return bytes(save({name: np.ascontiguousarray(array) for name, array in arrays.items()}))
 
 
-def _entry(content: bytes) -> dict[str, Any]:
+def file_entry(content: bytes) -> dict[str, Any]:
     """Return what the manifest says of a file."""
     return {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
 
 
-def _digest(manifest: Mapping[str, Any]) -> str:
+def manifest_digest(manifest: Mapping[str, Any]) -> str:
     """Return the digest of a manifest."""
     return hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()
 

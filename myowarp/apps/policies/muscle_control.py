@@ -64,6 +64,10 @@ class MuscleControl:
 
     Attributes:
         goal: Posture to reach, shape (num_worlds, nq); set anew to go another way. None: what the task asks.
+        model: The model in which ways and torques are found.
+        data: The world that is looked at.
+        ties: Followers by equalities, and their leaders.
+        problems: The weighted problem of each world, with its activations.
     """
 
     goal: np.ndarray | None = None
@@ -81,26 +85,26 @@ class MuscleControl:
             raise ValueError(
                 f"policy 'muscle-control' drives muscles; the body of task {scene.spec.key!r} has none"
             )
-        self._sim, self._model, self._data = sim, scene.oracle, mujoco.MjData(scene.oracle)
+        self._sim, self.model, self.data = sim, scene.oracle, mujoco.MjData(scene.oracle)
         if (
             isinstance(sim.shards[0].program, ReachProgram)
-            and mujoco.mjtJoint.mjJNT_FREE in self._model.jnt_type
+            and mujoco.mjtJoint.mjJNT_FREE in self.model.jnt_type
         ):
             raise ValueError(
                 f"policy 'muscle-control' moves limbs of a fixed body, not that of task {scene.spec.key!r}, "
                 "which can fall"
             )
-        self._ties = couplings(self._model)
+        self.ties = couplings(self.model)
         first = BODIES[scene.spec.body].approach
         self._approach = np.zeros(scene.num_actions, dtype=np.float32)
         self._approach[muscles.actuator_id] = -1.0
         self._approach[muscles.actuator_id[[muscle_index(name, muscles.names) for name in first]]] = 1.0
         self._approach_steps = round(APPROACH / scene.control_dt) if first else 0
         self._tension_at = [tension_at(shard.scene) for shard in sim.shards]
-        shape = scene.num_worlds, self._model.nv, len(muscles.names)
-        self._problems = BoundedLeastSquares(*shape, ridge=RIDGE)
-        self._problems.lower.fill_(excitation(-1.0, scene.spec.linear_excitation))
-        self._problems.upper.fill_(excitation(1.0, scene.spec.linear_excitation))
+        shape = scene.num_worlds, self.model.nv, len(muscles.names)
+        self.problems = BoundedLeastSquares(*shape, ridge=RIDGE)
+        self.problems.lower.fill_(excitation(-1.0, scene.spec.linear_excitation))
+        self.problems.upper.fill_(excitation(1.0, scene.spec.linear_excitation))
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
         """Return actions (num_worlds, num_actions) of the step that comes; motors do nothing."""
@@ -109,7 +113,7 @@ class MuscleControl:
         active = np.concatenate([tension(1.0) for tension in self._tension_at]) - passive
         activation = muscles.activation.numpy()
         matrix, right = self._torques(active, passive)
-        problems = self._problems
+        problems = self.problems
         problems.matrix.assign(matrix)
         problems.right.assign(right)
         problems.x.assign(activation.astype(float))
@@ -127,12 +131,12 @@ class MuscleControl:
 
     def _torques(self, active: np.ndarray, passive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return W R F_1, shape (num_worlds, nv, num_muscles), and W (tau - R F_0), (num_worlds, nv)."""
-        sim, model, data, muscles = self._sim, self._model, self._data, self._sim.scene.muscles
+        sim, model, data, muscles = self._sim, self.model, self.data, self._sim.scene.muscles
         qpos, qvel = sim.scene.data.qpos.numpy(), sim.scene.data.qvel.numpy()
         path = muscles.anatomy.path.numpy()
         matrix, right = np.zeros((*active.shape[:1], model.nv, active.shape[1])), np.zeros(qvel.shape)
         moment, mass = np.zeros((model.nu, model.nv)), np.zeros((model.nv, model.nv))
-        leads, all_slopes, _ = jacobian(model, self._ties, qpos.astype(float))
+        leads, all_slopes, _ = jacobian(model, self.ties, qpos.astype(float))
         for world, slopes in enumerate(all_slopes):
             data.qpos[:], data.qvel[:] = qpos[world], qvel[world]
             mujoco.mj_fwdPosition(model, data)
@@ -141,7 +145,7 @@ class MuscleControl:
                 moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
             )
             mujoco.mj_fullM(model, data, mass)
-            wanted = slopes @ np.clip(self._way(world, leads, slopes) / REACH, -MOST_SPEED, MOST_SPEED)
+            wanted = slopes @ np.clip(self.way(world, leads, slopes) / REACH, -MOST_SPEED, MOST_SPEED)
             change = wanted - data.qvel
             torque = mass @ change / REACTION + model.dof_damping * change
             torque += data.qfrc_bias - data.qfrc_passive
@@ -151,15 +155,21 @@ class MuscleControl:
             right[world, : len(leads)] = weight * (slopes.T @ (torque - arms @ passive[world]))
         return matrix, right
 
-    def _way(self, world: int, leads: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-        """Return the change of the leading coordinates to where a world is to go, shape (num_leads,)."""
+    def way(self, world: int, leads: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+        """Return the change of the leading coordinates to where a world is to go, shape (num_leads,).
+
+        Args:
+            world: The world, whose bodies `data` has.
+            leads: Degrees of freedom that lead, shape (num_leads,).
+            slopes: Change of all degrees of freedom with theirs, shape (nv, num_leads).
+        """
         shard = next(s for s in self._sim.shards if world < s.scene.worlds.first + s.num_worlds)
         program, row = shard.program, world - shard.scene.worlds.first
         if self.goal is None and isinstance(program, ReachProgram):
             return self._way_of_tips(program.target.numpy()[row], program.spec.tips, leads, slopes)
         goal = cast("PoseProgram", program).goal_pose(row) if self.goal is None else self.goal[world]
-        way = np.zeros(self._model.nv)
-        mujoco.mj_differentiatePos(self._model, way, 1.0, self._data.qpos, np.asarray(goal, dtype=float))
+        way = np.zeros(self.model.nv)
+        mujoco.mj_differentiatePos(self.model, way, 1.0, self.data.qpos, np.asarray(goal, dtype=float))
         return way[leads]
 
     def _way_of_tips(
@@ -169,7 +179,7 @@ class MuscleControl:
 
         Coordinates that would leave their range go to its limit, and the others make up for it.
         """
-        model, data, joints = self._model, self._data, self._model.dof_jntid[leads]
+        model, data, joints = self.model, self.data, self.model.dof_jntid[leads]
         arms, error = np.zeros((len(target), model.nv)), target.astype(float)
         for i, tip in enumerate(tips):
             rows, site = slice(3 * i, 3 * i + 3), model.site(tip).id

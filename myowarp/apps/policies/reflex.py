@@ -372,7 +372,11 @@ def _foot(model: mujoco.MjModel, body: int, feet: Sequence[int]) -> int:
 
 
 class ReflexControl:
-    """Actions of reflexes; worlds may have gaits of their own."""
+    """Actions of reflexes; worlds may have gaits of their own.
+
+    Attributes:
+        legs: Senses and stimulation of both legs, for each shard's worlds.
+    """
 
     def __init__(self, values: np.ndarray, delays: Delays, sim: Simulation) -> None:
         """Find senses and muscles.
@@ -394,7 +398,7 @@ class ReflexControl:
         rows = np.ascontiguousarray(values, dtype=float).view(kind.numpy_dtype())[:, 0]
         owns = [shard.scene.worlds.own if len(rows) > 1 else slice(1) for shard in sim.shards]
         with wp.ScopedDevice(scene.device):
-            self._legs = [_Legs(shard, delays.steps(scene.control_dt)) for shard in sim.shards]
+            self.legs = [_Legs(shard, delays.steps(scene.control_dt)) for shard in sim.shards]
             self._reflexes = [wp.array(rows[own], dtype=Reflexes) for own in owns]
         place = {
             f"{muscle}_{side}": (leg, group)
@@ -409,7 +413,7 @@ class ReflexControl:
         """Return actions (num_worlds, num_actions) of the step that comes; motors do nothing."""
         scene, muscles = self._sim.scene, self._sim.scene.muscles
         with wp.ScopedDevice(scene.device):
-            pairs = zip(self._legs, self._reflexes, strict=True)
+            pairs = zip(self.legs, self._reflexes, strict=True)
             told = np.concatenate([legs.stimulate(reflexes) for legs, reflexes in pairs])
         excitation = np.zeros((len(told), len(muscles.names)))
         excitation[:, self._told] = told[:, self._leg, self._group]

@@ -190,7 +190,7 @@ def study(
         first = share is shares[0]
         paired = share - shares[0]
         before, drop, recovery = _fall(curve, span, dt)
-        before_interval, drop_interval, recovery_interval = _fall_intervals(*own, span, dt)
+        before_interval, drop_interval, recovery_interval = fall_intervals(*own, span, dt)
         found.append(
             Adapted(
                 policy.name,
@@ -262,8 +262,15 @@ def _fall(curve: np.ndarray, change: int, dt: float) -> tuple[float, float, floa
     return before, drop, 0.0 if drop <= 0.0 else float(back[0] * dt) if back.size else math.inf
 
 
-def _fall_intervals(solved: np.ndarray, lasts: np.ndarray, change: int, dt: float) -> list[Interval]:
-    """Return the 95 % intervals of what `_fall` returns, by a bootstrap over episodes."""
+def fall_intervals(solved: np.ndarray, lasts: np.ndarray, change: int, dt: float) -> list[Interval]:
+    """Return the 95 % intervals of success before, its drop and its recovery, by a bootstrap over episodes.
+
+    Args:
+        solved: Whether steps are solved, shape (steps, episodes).
+        lasts: Whether an episode goes on, same shape.
+        change: Steps before the change.
+        dt: Control step [s].
+    """
     number = lasts.shape[1]
     drawn = np.random.default_rng(0).multinomial(number, np.full(number, 1.0 / number), size=RESAMPLES)
     falls = np.array([_fall(curve, change, dt) for curve in _curve(solved, lasts, drawn.T).T])

@@ -54,12 +54,12 @@ def connected(address: str | None, folder: Path) -> Iterator[None]:
         options |= {"num_cpus": num_cores(), "include_dashboard": False}
     try:
         ray.init(address or "local", **options)
-    except Exception as error:  # of that very class where a node starts too slowly
+    except Exception as error:  # Ray raises that very class where a node starts too slowly
         reason = " ".join(str(error).split())
         raise ValueError(f"Ray cluster {address or 'local'!r} cannot be used: {reason}") from error
     try:
         if address is not None:
-            _check_nodes(folder)
+            check_nodes(folder)
         yield
     finally:
         ray.shutdown()
@@ -77,7 +77,7 @@ def _check_address(address: str) -> None:
         ) from error
 
 
-def _check_nodes(folder: Path) -> None:
+def check_nodes(folder: Path) -> None:
     """Raise ValueError if a node has other versions than this process, or does not see the folder.
 
     Ray lists a node for a while after it has died. Such a node gets no work; one that comes back, or a new
@@ -87,7 +87,7 @@ def _check_nodes(folder: Path) -> None:
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
     nodes = {node["NodeID"]: node["NodeManagerAddress"] for node in _alive()}
-    ask = ray.remote(num_cpus=0, max_retries=RETRIES)(_misfit)
+    ask = ray.remote(num_cpus=0, max_retries=RETRIES)(node_misfit)
     answers = {
         node: ask.options(scheduling_strategy=NodeAffinitySchedulingStrategy(node, soft=False)).remote(
             versions(), folder
@@ -117,8 +117,8 @@ def _alive() -> list[dict[str, Any]]:
     return [node for node in ray.nodes() if node["Alive"]]
 
 
-def _misfit(here: dict[str, str], folder: Path) -> str:
-    """Return in one sentence why a node must not work, "" if it may; on the node.
+def node_misfit(here: dict[str, str], folder: Path) -> str:
+    """Return in one sentence why a node must not work, "" if it may; it runs on the node.
 
     Args:
         here: Versions of packages on the machine that gives the work.
@@ -187,7 +187,7 @@ def each(
 
 def _bounded(work: Callable[..., Any], cpus: int, here: dict[str, str], folder: Path, *arguments: Any) -> Any:
     """Do a piece of work on no more cores than it has asked for, if the node fits; on a node."""
-    if misfit := _misfit(here, folder):
+    if misfit := node_misfit(here, folder):
         raise ValueError(misfit)
     os.environ[CORES] = str(cpus)
     return work(*arguments)

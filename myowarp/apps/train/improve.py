@@ -42,7 +42,7 @@ class Improve(Imitation):
 
     def iterate(self, worlds: Worlds) -> None:
         """Search for one episode of every start, keep what succeeded, and fit the network to all that did."""
-        obs, output, success = self._search(worlds)
+        obs, output, success = self.search(worlds)
         self.note(solved_starts=success.any(dim=1).float().mean())
         first = torch.arange(len(success), device=self.device) * success.shape[1]
         best = first + success.float().argmax(dim=1)
@@ -55,7 +55,7 @@ class Improve(Imitation):
             self.fit(self.policy.net, self.normaliser(batch["obs"]), batch["output"])
 
     @torch.no_grad()
-    def _search(self, worlds: Worlds) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def search(self, worlds: Worlds) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Return observations and outputs of the network on the way of every world, and who succeeded.
 
         Noise is added before the hyperbolic tangent: an action at a bound is not stuck there, and a network
@@ -82,7 +82,7 @@ class Improve(Imitation):
             alive &= ~step.terminated
             success |= alive & step.success
             if (t + 1) % settings.every == 0 and t + 1 < steps:
-                rows = _choice(torch.where(alive, score, -torch.inf).view(-1, copies), settings.keep)
+                rows = survivors(torch.where(alive, score, -torch.inf).view(-1, copies), settings.keep)
                 worlds.copy(rows)
                 score, alive, success = score[rows], alive[rows], success[rows]
                 obs[: t + 1], output[: t + 1] = obs[: t + 1, rows], output[: t + 1, rows]
@@ -97,7 +97,7 @@ class Improve(Imitation):
         return action.atanh() if self.policy.mean_bound == "tanh" else action
 
 
-def _choice(score: torch.Tensor, keep: int) -> torch.Tensor:
+def survivors(score: torch.Tensor, keep: int) -> torch.Tensor:
     """Return which world each world becomes: the best `keep` of its start in turn, shape (worlds,).
 
     Args:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager
+from functools import partial
 
 import numpy as np
 import torch
@@ -200,6 +201,9 @@ class Captured:
     """A step of a learner that is the same every time: on CUDA one graph, elsewhere a plain call.
 
     A step of some hundred small kernels takes a GPU less time than it takes a CPU to launch them.
+
+    Attributes:
+        captures: Whether a graph is made of it.
     """
 
     def __init__(self, learner: Learner, step: Callable[..., None]) -> None:
@@ -210,24 +214,24 @@ class Captured:
             step: Function of tensors whose shapes stay; it asks the host for nothing.
         """
         self._learner, self._step, self._calls = learner, step, 0
-        self._captures = learner.device.type == "cuda"
+        self.captures = learner.device.type == "cuda"
         self._inputs: tuple[torch.Tensor, ...] = ()
         self._noted: dict[str, list[torch.Tensor]] = {}
         self._replay: Callable[[], object] | None = None
 
     def __call__(self, *tensors: torch.Tensor, alike: bool = True) -> None:
         """Do the step; a plain call does one that is not like the others."""
-        if not (self._captures and alike):
+        if not (self.captures and alike):
             self._step(*tensors)
             return
         self._calls += 1
         if self._calls <= WARM_UPS:
-            self._warm_up(*tensors)
+            warm_up(partial(self._step, *tensors))
         else:
             if self._replay is None:
                 self._inputs, others = tuple(each.clone() for each in tensors), self._learner.noted
                 self._learner.noted = self._noted
-                self._replay = self._capture()
+                self._replay = capture(partial(self._step, *self._inputs))
                 self._learner.noted = others
             for own, each in zip(self._inputs, tensors, strict=True):
                 own.copy_(each)
@@ -236,17 +240,19 @@ class Captured:
                 for figure in figures:
                     self._learner.note(**{name: figure.clone()})
 
-    def _warm_up(self, *tensors: torch.Tensor) -> None:
-        """Do the step beside the stream that others use, where a capture does it, too."""
-        stream = torch.cuda.Stream()
-        stream.wait_stream(torch.cuda.current_stream())
-        with torch.cuda.stream(stream):
-            self._step(*tensors)
-        torch.cuda.current_stream().wait_stream(stream)
 
-    def _capture(self) -> Callable[[], object]:
-        """Capture the step on its own inputs, which computes nothing; returns what does."""
-        graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(graph):
-            self._step(*self._inputs)
-        return graph.replay
+def warm_up(step: Callable[[], object]) -> None:
+    """Do a step beside the stream that others use, where a capture does it, too."""
+    stream = torch.cuda.Stream()
+    stream.wait_stream(torch.cuda.current_stream())
+    with torch.cuda.stream(stream):
+        step()
+    torch.cuda.current_stream().wait_stream(stream)
+
+
+def capture(step: Callable[[], object]) -> Callable[[], object]:
+    """Return what replays a step as a CUDA graph; capturing it computes nothing."""
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        step()
+    return graph.replay

@@ -216,9 +216,9 @@ class PPO(OnPolicyLearner):
         """Do a gradient step of value function and policy on samples, the fields of a `Rollout`."""
         self.update_value(part := Rollout(*samples))
         if not self.value_alone:
-            self._update_policy(part)
+            self.update_policy(part)
 
-    def _update_policy(self, part: Rollout) -> None:
+    def update_policy(self, part: Rollout) -> None:
         """Make actions of positive advantage more likely, within the clip."""
         with self.products():
             mean = self.means(part.obs)

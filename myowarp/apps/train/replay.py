@@ -20,6 +20,7 @@ class Replay:
     Attributes:
         size: What it takes, in memory and in a checkpoint [B].
         filled: Rows that hold a sample.
+        widths: Entries of a row, by name.
     """
 
     def __init__(self, rows: int, device: torch.device, **widths: int) -> None:
@@ -30,7 +31,7 @@ class Replay:
             device: Where it is.
             **widths: Entries of a row, by name.
         """
-        self.size = 4 * rows * sum(widths.values())
+        self.size, self.widths = 4 * rows * sum(widths.values()), widths
         check_room(self.size, "memory", os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
         self._rows = {name: torch.empty(rows, width, device=device) for name, width in widths.items()}
         self._number, self._next, self.filled = rows, 0, 0

@@ -76,7 +76,7 @@ class SAC(Learner):
                 obs=obs, action=action, reward=step.reward, next_obs=step.obs, terminated=step.terminated
             )
             if worlds.steps >= self.settings.random_steps and self.replay.filled >= self.settings.batch_size:
-                self._update()
+                self.update()
         self.note(entropy_weight=self.log_temperature.exp())
 
     @torch.no_grad()
@@ -87,7 +87,7 @@ class SAC(Learner):
         mean, log_std = self.policy(self.normaliser(worlds.obs))
         return (mean + log_std.exp() * self.noise.next()).tanh()
 
-    def _update(self) -> None:
+    def update(self) -> None:
         """Do the gradient steps of one control step."""
         settings = self.settings
         batch = self.replay.draw(settings.gradient_steps, settings.batch_size)

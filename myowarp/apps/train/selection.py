@@ -70,8 +70,13 @@ class Selection:
         """Evaluate a policy; returns whether it is the best one so far."""
         job, quiet = self._job, Console(quiet=True)
         if self._sim is None:
+<<<<<<< HEAD
             self._sim = self._build()
         act = Bound(Checkpoint(job.folder, dict(manifest), dict(policy)), self._sim)
+=======
+            self._sim = evaluated_worlds(job)
+        act = bind(Checkpoint(job.folder, dict(manifest), dict(policy)), self._sim)
+>>>>>>> house
         figures = dataclasses.asdict(evaluate(self._sim, act, console=quiet, ranks=job.ranks))
         self.last = Score(samples, figures[job.settings.stop_rule], figures["return_mean"])
         if self.best and (self.best.success, self.best.returns) >= (self.last.success, self.last.returns):
@@ -95,16 +100,6 @@ class Selection:
             f"--start-share, or search around the best with `myowarp improve {self._job.folder}`"
         )
 
-    def _build(self) -> Simulation:
-        """Return this rank's worlds."""
-        job, ranks = self._job, self._job.ranks
-        patients = any(isinstance(condition, Condition) for condition in job.setup.conditions or ())
-        episodes = job.settings.num_worlds if patients else EPISODES
-        setup = dataclasses.replace(
-            job.setup, physics="parity", device=ranks.device(job.setup.device), rank=ranks.part, seed=SEED
-        )
-        return Simulation(setup, -(-episodes // ranks.size), autoreset="same_step")
-
     def figures(self) -> dict[str, float]:
         """Return columns of `progress.csv`: the last evaluation, NaN before the first one."""
         score = self.last or Score(0, math.nan, math.nan)
@@ -119,3 +114,14 @@ class Selection:
         """End the worlds."""
         if self._sim is not None:
             self._sim.close()
+
+
+def evaluated_worlds(job: Job) -> Simulation:
+    """Return the worlds of this rank in which a run's policies are evaluated."""
+    ranks = job.ranks
+    patients = any(isinstance(condition, Condition) for condition in job.setup.conditions or ())
+    episodes = job.settings.num_worlds if patients else EPISODES
+    setup = dataclasses.replace(
+        job.setup, physics="parity", device=ranks.device(job.setup.device), rank=ranks.part, seed=SEED
+    )
+    return Simulation(setup, -(-episodes // ranks.size), autoreset="same_step")

@@ -54,7 +54,7 @@ class Backplay:
         length, number = self.notes[LENGTH], self.notes[NUMBER]
         length += 1
         for world in np.flatnonzero(ended & success).tolist():
-            self._keep(world)
+            self.keep(world)
         due = (length % EVERY == 0) & ~success & ~ended
         if due.any():
             for name, rows in without_keys(env.get_state()).items():
@@ -62,7 +62,7 @@ class Backplay:
             number[due] += 1
         length[ended] = number[ended] = 0
 
-    def _keep(self, world: int) -> None:
+    def keep(self, world: int) -> None:
         """Keep what was noted on the way of an episode."""
         for note in range(self.notes[NUMBER][world]):
             for name, rows in self.kept.items():

@@ -26,11 +26,11 @@ class TRPO(OnPolicyLearner):
     def update(self, rollout: Rollout) -> None:
         """Step the policy once, and pass over the samples for the value function."""
         if not self.value_alone:
-            self._step(rollout)
+            self.step_policy(rollout)
         for part in rollout.parts(self.settings.minibatches) * self.settings.epochs:
             self.update_value(part)
 
-    def _step(self, rollout: Rollout) -> None:
+    def step_policy(self, rollout: Rollout) -> None:
         """Go as far along the natural gradient as the divergence allows."""
         parameters = [*self.policy.parameters()]
         before = nn.utils.parameters_to_vector(parameters).detach()

@@ -1,6 +1,6 @@
 """OpenSim's paths as tables for the kernel of `path`, and the memory that it works in."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -207,7 +207,11 @@ class PathMemory:
                 cubics between a ninth of them, which takes a fifth of the time.
         """
         bodies = {name: number for number, name in enumerate(described.bodies)}
-        surfaces = {name: number for number, name in enumerate(described.surfaces)}
+        numbers = {name: number for number, name in enumerate(described.surfaces)}
+        surfaces = [
+            (KINDS[s.kind], bodies[s.body], s.axis, s.sign, s.active, s.size, s.position, s.rotation)
+            for s in described.surfaces.values()
+        ]
         points: list[tuple[Any, ...]] = []
         moving: list[tuple[Any, ...]] = []
         wraps: list[tuple[Any, ...]] = []
@@ -255,7 +259,7 @@ class PathMemory:
                 like, method = over.index(wrap.surface), METHODS[wrap.method]
                 if method == METHODS["hybrid"] and not exact:
                     method = int(SAMPLED)
-                wraps.append((surfaces[wrap.surface], like, own[body], method, wrap.first, wrap.last))
+                wraps.append((numbers[wrap.surface], like, own[body], method, wrap.first, wrap.last))
             place += len(path.points) + 2 * len(path.wraps)
             self.handles.append(self.handles[-1] + len(own))
         self.moving = [tuple(values) for values, _, _ in moving]
@@ -264,22 +268,12 @@ class PathMemory:
         self.tables.points = struct_array(Point, points)
         self.tables.moving = struct_array(MovingPoint, moving)
         self.tables.wraps = struct_array(PathWrap, wraps)
-        self.tables.surfaces = struct_array(
-            Surface,
-            [
-                (KINDS[s.kind], bodies[s.body], s.axis, s.sign, s.active, s.size, s.position, s.rotation)
-                for s in described.surfaces.values()
-            ],
-        )
-        powers = np.zeros((max(len(groups), 1), MOST_VARIABLES), np.int32)
-        for row, (one, _) in zip(powers, groups, strict=False):
-            row[: len(one)] = one
-        ends = np.cumsum([0, *(len(own) for _, own in groups)], dtype=np.int32)
-        coefficients = [c for _, own in groups for c in own]
+        self.tables.surfaces = struct_array(Surface, surfaces)
+        powers, ends, coefficients = _packed(groups)
         self.tables.variable = wp.array(np.array(variables or [0], np.int32), dtype=int)
         self.tables.power = wp.array(powers, dtype=int)
         self.tables.first_coefficient = wp.array(ends, dtype=int)
-        self.tables.coefficient = wp.array(coefficients or [0.0], dtype=wp.float64)
+        self.tables.coefficient = wp.array(coefficients, dtype=wp.float64)
         self.worlds, self.number = worlds, len(paths)
         functions = [path.polynomial is not None for path in described.paths.values()]
         in_lanes = np.array(functions, bool) & wp.get_device().is_cpu
@@ -333,3 +327,19 @@ class PathMemory:
                 launch(follow_paths, shape, self, numbers=self._others)
         else:
             launch(FOLLOW_ON_CUDA, shape, self, numbers=self._others)
+
+
+def _packed(
+    groups: Sequence[tuple[tuple[int, ...], list[float]]],
+) -> tuple[np.ndarray, np.ndarray, list[float]]:
+    """Return the groups of polynomials' terms as a kernel reads them; one entry of zero where there are none.
+
+    Returns:
+        Powers of each group, shape (num_groups, MOST_VARIABLES); where its coefficients begin and the last
+        ones end, shape (num_groups + 1,); and all coefficients [m].
+    """
+    powers = np.zeros((max(len(groups), 1), MOST_VARIABLES), np.int32)
+    for row, (one, _) in zip(powers, groups, strict=False):
+        row[: len(one)] = one
+    ends = np.cumsum([0, *(len(own) for _, own in groups)], dtype=np.int32)
+    return powers, ends, [c for _, own in groups for c in own] or [0.0]

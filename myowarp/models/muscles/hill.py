@@ -77,7 +77,8 @@ class Hill(MuscleModel):
         self.excitation_range = wp.array(bounds, dtype=wp.vec2)
         self._actuators = wp.array(ids, dtype=int)
         of_muscles, of_actuators = (len(PLACES) + 18) * len(ids), 3 * model.nu + 1
-        self._scratch = block_scratch(self.activation.device, of_muscles, of_actuators)
+        # For the native kernel, which finds it by its name.
+        self.scratch = block_scratch(self.activation.device, of_muscles, of_actuators)
         self._length_range = model.actuator_lengthrange[ids]
         if "ignore_activation_dynamics" in self._given:
             off = self._given["ignore_activation_dynamics"] == 1.0
@@ -249,7 +250,7 @@ class Hill(MuscleModel):
         """Engine callback; see `MuscleModel.launch`."""
         timestep = model.opt.timestep
         if self.activation.device.is_cpu:
-            launch(native_contract_hill, 1, self, data, model, opt_timestep=timestep, scratch=self._scratch)
+            launch(native_contract_hill, 1, self, data, model, opt_timestep=timestep)
             return
         num_worlds, threads = self.activation.shape
         launch(

@@ -12,7 +12,11 @@ PLAY, PAUSE, STEP, RESET = "Play", "Pause", "Step", "Reset"
 
 
 class Drive:
-    """Readings and buttons, in sight whatever tab is open."""
+    """Readings and buttons, in sight whatever tab is open.
+
+    Attributes:
+        status: What is written.
+    """
 
     def __init__(self, live: Wishes, status: Callable[[], str]) -> None:
         """Add them to the container that is open.
@@ -22,7 +26,7 @@ class Drive:
             status: Function that returns what is written, HTML.
         """
         self._live, self._read, gui = live, status, live.server.gui
-        self._status = gui.add_html(status())
+        self.status = gui.add_html(status())
         self._buttons: Any = gui.add_button_group(
             "", self._offered(), hint="Keys: space plays and pauses, right arrow steps, R resets."
         )
@@ -30,13 +34,13 @@ class Drive:
 
     def refresh(self) -> None:
         """Show what is new."""
-        self._status.content = self._read()
+        self.status.content = self._read()
         if tuple(self._buttons.options) != self._offered():
             self._buttons.options = self._offered()
 
     def remove(self) -> None:
         """Take it out of the page."""
-        self._status.remove()
+        self.status.remove()
         self._buttons.remove()
 
     def _offered(self) -> tuple[str, ...]:

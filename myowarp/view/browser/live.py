@@ -50,11 +50,22 @@ NEAR_REST = 0.25
 
 
 class Live(Controls):
-    """A session in a page."""
+    """A session in a page.
 
-    _panel: Panel
+    Attributes:
+        panel: Controls and readings.
+        figure: The shown world.
+        twin: Its twin without the change; None: it is not shown.
+        tag: What stands beside the muscle that was clicked.
+        history: Moments to look back at.
+    """
+
+    panel: Panel
+    figure: Figure
+    twin: Figure | None
+    tag: viser.LabelHandle
+    history: History
     _picked: str
-    _twin: Figure | None
     _labels: dict[str, viser.LabelHandle]
 
     def __init__(self, server: viser.ViserServer, session: Session, choices: Choices) -> None:
@@ -107,11 +118,11 @@ class Live(Controls):
     def show_twin(self, beside: bool) -> None:
         """Show or hide the twin, from the state that the shown world is in."""
         self.session.match()
-        if beside and self._twin is None:
-            self._twin = self._figure("/twin")
-        elif not beside and self._twin is not None:
-            self._twin.remove()
-            self._twin = None
+        if beside and self.twin is None:
+            self.twin = self._figure("/twin")
+        elif not beside and self.twin is not None:
+            self.twin.remove()
+            self.twin = None
         self.session.beside = beside
         self._labels["/twin"].visible = self._labels["/world"].visible = beside
         self.aim()
@@ -128,7 +139,7 @@ class Live(Controls):
         if self._picked:
             for kind in PICKED:
                 if muscle in self._readings.kinds.get(kind, ("", ()))[1]:
-                    self._panel.traces.add(kind, muscle)
+                    self.panel.traces.add(kind, muscle)
 
     def draw(self, now: float) -> None:
         """Send what is new."""
@@ -137,31 +148,31 @@ class Live(Controls):
         moment = self._moment()
 
         def place() -> None:
-            self._place(self._figure_shown, 0, moment, np.zeros(3))
-            if self._twin is not None:
-                self._place(self._twin, 1, moment, self._side)
+            self._place(self.figure, 0, moment, np.zeros(3))
+            if self.twin is not None:
+                self._place(self.twin, 1, moment, self._side)
 
         at_once(self.server, place)
         if now >= self._read + READING:
             self._read = now
             self._measure(now)
             with self.server.atomic():
-                self._panel.refresh()
+                self.panel.refresh()
                 self._show_picked(moment)
 
     def _moment(self) -> Moment:
         """Return what is to be seen: what there is now, or what there was."""
-        before = self._history.back(self.back) if self.back > 0.0 else None
+        before = self.history.back(self.back) if self.back > 0.0 else None
         if before is not None:
             return before
         moment = self._readings.read()
-        self._history.add(moment)
+        self.history.add(moment)
         return moment
 
     def _show_picked(self, moment: Moment) -> None:
         """Write beside the muscle that was clicked what it does."""
-        place = self._figure_shown.middle_of(self._picked)
-        self._tag.visible = place is not None
+        place = self.figure.middle_of(self._picked)
+        self.tag.visible = place is not None
         if place is None:
             return
         group = BODIES[self.session.sim.scene.spec.body].group_of(self._picked)
@@ -171,12 +182,12 @@ class Live(Controls):
             if self._picked in items:
                 value = moment.values[kind][0, items.index(self._picked)]
                 parts.append(f"{kind} {value:.3g}" + ("" if unit == "1" else f" {unit}"))
-        self._tag.text, self._tag.position = " · ".join(parts), place
+        self.tag.text, self.tag.position = " · ".join(parts), place
 
     @property
     def _frame(self) -> float:
         """Time between two frames [s]."""
-        figures = [self._figure_shown] + ([self._twin] if self._twin is not None else [])
+        figures = [self.figure] + ([self.twin] if self.twin is not None else [])
         return max(FRAME, sum(figure.bytes_per_frame for figure in figures) / TRAFFIC)
 
     def _step(self, now: float) -> None:
@@ -198,18 +209,18 @@ class Live(Controls):
     def _open(self) -> None:
         """Send all that a session's page begins with."""
         model, scene = self.session.sim.full_model, self.server.scene
-        self._readings, self._history, self.back = Readings(self.session), History(), 0.0
-        self._picked, self._tag = "", scene.add_label("/picked", "", visible=False)
+        self._readings, self.history, self.back = Readings(self.session), History(), 0.0
+        self._picked, self.tag = "", scene.add_label("/picked", "", visible=False)
         self._framing = Framing(model, BODIES[self.session.sim.scene.spec.body].tips, ASPECT)
         if self.session.file is not None:
             self._framing.fit(self._near_rest(model))
         self._progress.clear()
         name_page(self.server, title_of(self.session.title))
         self._roots = {name: scene.add_frame(name, show_axes=False) for name in ("/world", "/twin")}
-        self._figure_shown = self._figure("/world")
-        self._twin = None
-        look.pose(model, self._figure_shown.data, look.rest_pose(model))
-        self._camera = self._framing.camera(self._figure_shown.data, {})
+        self.figure = self._figure("/world")
+        self.twin = None
+        look.pose(model, self.figure.data, look.rest_pose(model))
+        self._camera = self._framing.camera(self.figure.data, {})
         axes = view_axes(self._camera.azimuth, self._camera.elevation)
         self._side, self._farther = self._framing.twin()
         above = self._camera.lookat + 0.55 * self._framing.height * axes[1]
@@ -224,7 +235,7 @@ class Live(Controls):
         if not self.session.scored:
             self.playing = False
             self.session.pose(look.rest_pose(model))
-        self._panel = Panel(self, self._readings, self._history)
+        self.panel = Panel(self, self._readings, self.history)
         self.aim()
 
     def _near_rest(self, model: mujoco.MjModel) -> Iterator[tuple[mujoco.MjData, dict[str, np.ndarray]]]:
@@ -236,9 +247,9 @@ class Live(Controls):
 
     def _close(self) -> None:
         """Take a session out of the page."""
-        for node in (self._tag, *self._labels.values(), *self._roots.values()):
+        for node in (self.tag, *self._labels.values(), *self._roots.values()):
             node.remove()
-        self._panel.remove()
+        self.panel.remove()
 
     def _figure(self, name: str) -> Figure:
         """Return a world's figure under a node."""
@@ -269,7 +280,7 @@ class Live(Controls):
         except ValueError as error:  # a state that is not finite; the next step resets it
             self.message = str(error)
             return
-        if figure is self._figure_shown:
+        if figure is self.figure:
             self._floor.show(shift(figure.data))
 
     def view(self, width: int, height: int) -> View:

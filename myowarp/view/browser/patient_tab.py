@@ -26,19 +26,24 @@ Dial = tuple[Knob, ...]
 
 
 class PatientTab:
-    """The knobs: each acts on the muscles that are chosen above them."""
+    """The knobs: each acts on the muscles that are chosen above them.
+
+    Attributes:
+        muscles: Name of the chosen muscles' group.
+        sliders: The slider of each parameter.
+    """
 
     def __init__(self, live: Controls, widgets: Widgets) -> None:
         """Add the controls to the container that is open."""
         self._live, self._gui, self._widgets = live, live.server.gui, widgets
-        self._sliders: dict[Dial, Any] = {}
+        self.sliders: dict[Dial, Any] = {}
         self._hints: dict[Dial, viser.GuiMarkdownHandle] = {}
         self._places: dict[str, tuple[str, ...]] = {}
         patient = live.session.patient
         if not patient.knobs:
             self._gui.add_markdown("This body has no conditions.")
             return
-        self._muscles = next(iter(patient.groups))
+        self.muscles = next(iter(patient.groups))
         if "sarcopenia strength" in patient.knobs:
             self._gui.add_markdown(ADVICE)
         self._add_preset()
@@ -47,7 +52,7 @@ class PatientTab:
             widgets.choose(
                 "muscles",
                 tuple(patient.groups),
-                lambda: self._muscles,
+                lambda: self.muscles,
                 self._choose_muscles,
                 "Muscles on which the sliders below act.",
             )
@@ -104,7 +109,7 @@ class PatientTab:
 
         knob = dial[0]
         now = lambda: self._value(self._acting(dial))  # noqa: E731 (the slider's present value)
-        self._sliders[dial] = self._widgets.slide(
+        self.sliders[dial] = self._widgets.slide(
             f"{knob.condition} {knob.field}",
             knob.label.replace("/", "/" + JOINER),
             (knob.low, knob.high),
@@ -122,7 +127,7 @@ class PatientTab:
     @property
     def _chosen(self) -> tuple[str, ...]:
         """The chosen muscles."""
-        return self._live.session.patient.groups[self._muscles]
+        return self._live.session.patient.groups[self.muscles]
 
     def _value(self, knobs: Dial) -> float:
         """Return what the chosen muscles have, the mean of some knobs, with three figures."""
@@ -132,12 +137,12 @@ class PatientTab:
 
     def _choose_muscles(self, muscles: str) -> None:
         """Let the knobs act on other muscles, and show theirs."""
-        self._muscles = muscles
+        self.muscles = muscles
         self._show_knobs()
 
     def _show_knobs(self) -> None:
         """Move the sliders to what there is."""
-        for dial, slider in self._sliders.items():
+        for dial, slider in self.sliders.items():
             slider.value = self._value(self._acting(dial))
         self._show_hints()
 

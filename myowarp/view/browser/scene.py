@@ -73,6 +73,8 @@ class Figure:
 
     Attributes:
         muscles: Its muscles.
+        tubes: Tendons, bones without meshes and lines, as they are in the page.
+        pick: Called with the name of a muscle that was clicked; None: muscles are not to be clicked.
     """
 
     def __init__(
@@ -103,7 +105,7 @@ class Figure:
         coarsen(self._model, CELL * radius)
         self._data = mujoco.MjData(self._model)
         self._nominal: dict[tuple[str, str], np.ndarray] = {}
-        self._given, self._pick = model, pick
+        self._given, self.pick = model, pick
         on_tendon = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON)
         self._names = [model.actuator(int(actuator)).name for actuator in on_tendon]
         self.muscles, self._skeleton = Muscles(model, radius), Skeleton(model)
@@ -115,7 +117,7 @@ class Figure:
         roots = look.rigid_roots(model)
         leads = roots == np.arange(model.nbody)
         self._followers = {root: np.flatnonzero((roots == root) & ~leads) for root in self._geoms}
-        self._tubes = _Batch(server, f"{name}/tubes", *_tube(), GHOST_ALPHA if ghost else None)
+        self.tubes = _Batch(server, f"{name}/tubes", *_tube(), GHOST_ALPHA if ghost else None)
         ball = trimesh.creation.uv_sphere(1.0, BALL_SIDES)
         self._balls = _Batch(server, f"{name}/balls", ball.vertices, ball.faces)
         self._heads = _Batch(server, f"{name}/heads", *_cone())
@@ -178,7 +180,7 @@ class Figure:
         """Return about the most bytes that a frame sends."""
         belly = BELLY_BYTES + 12 * self._rings * self._sides
         meshes = BODY_BYTES * sum(map(len, self._meshes.values())) + belly * len(self._bellies)
-        return meshes + COPY_BYTES * (self._tubes.room + self._balls.room)
+        return meshes + COPY_BYTES * (self.tubes.room + self._balls.room)
 
     def remove(self) -> None:
         """Take it out of the page."""
@@ -240,7 +242,7 @@ class Figure:
         starts, ends, radii = self._skeleton.bones(self._data)
         rgb = np.tile(look.TARGET_RGB if self._is_ghost else look.BONE_RGB, (len(radii), 1))
         if self._is_ghost:
-            self._tubes.show_between(starts + aside, ends + aside, radii, rgb)
+            self.tubes.show_between(starts + aside, ends + aside, radii, rgb)
             return
         thinnest = THINNEST * self._radius
         tubes = self.muscles.tubes(self._data, seen.muscles, thinnest, pieces=1)
@@ -262,7 +264,7 @@ class Figure:
         lines = np.concatenate((link_ends, seen.arrows))
         thin = np.repeat((LINK_RADIUS, ARROW_RADIUS), (len(links), len(seen.arrows))) * self._radius
         inks = np.repeat((look.TARGET_RGB, look.FORCE_RGB), (len(links), len(seen.arrows)), axis=0)
-        self._tubes.show_between(
+        self.tubes.show_between(
             np.concatenate((tubes.starts[shown], starts, lines[:, 0])) + aside,
             np.concatenate((tubes.ends[shown], ends, lines[:, 1])) + aside,
             np.concatenate((tubes.radii[shown], radii, thin)),
@@ -281,7 +283,7 @@ class Figure:
                 cast_shadow=False,
                 receive_shadow=False,
             )
-            if (pick := self._pick) is not None:
+            if (pick := self.pick) is not None:
                 self._bellies[muscle].on_click(lambda _: pick(self._names[muscle]))
             return
         if np.abs(vertices - handle.vertices).max() > STILL:
@@ -368,7 +370,11 @@ class Floor:
 
 
 class _Batch:
-    """Copies of one mesh, each with a place, a turn, a size and a colour; sent together."""
+    """Copies of one mesh, each with a place, a turn, a size and a colour; sent together.
+
+    Attributes:
+        handle: The copies in the page; None: nothing was sent yet.
+    """
 
     def __init__(
         self,
@@ -382,7 +388,7 @@ class _Batch:
     ) -> None:
         self._server, self._name, self._mesh = server, name, (vertices, faces)
         self._opacity, self._lod, self._rgb = opacity, lod, rgb
-        self._handle: viser.BatchedMeshHandle | None = None
+        self.handle: viser.BatchedMeshHandle | None = None
         self.room = 0
 
     def show_between(self, starts: np.ndarray, ends: np.ndarray, radii: np.ndarray, rgb: np.ndarray) -> None:
@@ -415,8 +421,8 @@ class _Batch:
         turns = np.concatenate((turns, np.tile((1.0, 0.0, 0.0, 0.0), (spare, 1)))).astype(np.float32)
         scales = np.concatenate((scales, np.zeros((spare, 3)))).astype(np.float32)
         colors = (255 * _linear(np.concatenate((rgb, np.zeros((spare, 3)))))).round().astype(np.uint8)
-        if self._handle is None:
-            self._handle = self._server.scene.add_batched_meshes_simple(
+        if self.handle is None:
+            self.handle = self._server.scene.add_batched_meshes_simple(
                 self._name,
                 *self._mesh,
                 turns,
@@ -430,16 +436,16 @@ class _Batch:
             )
             return
         for field, values in (("positions", places), ("wxyzs", turns), ("scales", scales)):
-            if grown or np.abs(values - getattr(self._handle, f"batched_{field}")).max() > STILL:
-                setattr(self._handle, f"batched_{field}", values)
-        if grown or not np.array_equal(colors, self._handle.batched_colors):
-            self._handle.batched_colors = colors
+            if grown or np.abs(values - getattr(self.handle, f"batched_{field}")).max() > STILL:
+                setattr(self.handle, f"batched_{field}", values)
+        if grown or not np.array_equal(colors, self.handle.batched_colors):
+            self.handle.batched_colors = colors
 
     def remove(self) -> None:
         """Take the copies out of the page."""
-        if self._handle is not None:
-            self._handle.remove()
-        self._handle, self.room = None, 0
+        if self.handle is not None:
+            self.handle.remove()
+        self.handle, self.room = None, 0
 
 
 def _linear(rgb: np.ndarray) -> np.ndarray:

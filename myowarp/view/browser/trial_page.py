@@ -48,6 +48,11 @@ class TrialPage(Wishes):
 
     Attributes:
         frame: What is shown.
+        figure: The body.
+        tag: What stands beside the muscle that was clicked.
+        drive: Readings and buttons.
+        slider: Time of what is shown.
+        traces: Curves of the trial.
     """
 
     def __init__(self, server: viser.ViserServer, recorded: Recorded) -> None:
@@ -64,18 +69,18 @@ class TrialPage(Wishes):
         model, scene = recorded.model, server.scene
         self._framing = Framing(model, (), ASPECT)
         self._framing.look_along(recorded.across)
-        self._figure = Figure(
+        self.figure = Figure(
             server, "/world/body", model, self._framing.radius,
             pick=lambda muscle: self.ask("pick", lambda: self.pick(muscle)),
         )  # fmt: skip
         self._fit()
         self._floor = Floor(server, "/floor", model, self._framing, always=True)
-        self._tag = scene.add_label("/picked", "", visible=False)
+        self.tag = scene.add_label("/picked", "", visible=False)
         self._add_panel()
         seen = recorded.seen(0)
-        look.pose(model, self._figure.data, seen.qpos, paths=seen.paths)
-        self._camera = self._framing.camera(self._figure.data, {})
-        self._camera.lookat[:] -= self._framing.shift(self._figure.data)
+        look.pose(model, self.figure.data, seen.qpos, paths=seen.paths)
+        self._camera = self._framing.camera(self.figure.data, {})
+        self._camera.lookat[:] -= self._framing.shift(self.figure.data)
         self.aim()
         self.draw()
 
@@ -115,20 +120,20 @@ class TrialPage(Wishes):
         self._picked = "" if muscle == self._picked else muscle
         for kind, course in self.recorded.courses.items():
             if self._picked in course.items and kind in PICKED:
-                self._traces.add(kind, self._picked)
+                self.traces.add(kind, self._picked)
 
     def draw(self) -> None:
         """Send the shown frame, all of it together."""
         seen = self.recorded.seen(self.frame)
 
         def send() -> None:
-            self._figure.show(seen, self.color, shift=self._shift)
-            self._floor.show(self._shift(self._figure.data))
-            self._traces.now = self.time
-            self._traces.refresh()
-            self._drive.refresh()
-            if self._slider.value != self.time:
-                self._slider.value = self.time
+            self.figure.show(seen, self.color, shift=self._shift)
+            self._floor.show(self._shift(self.figure.data))
+            self.traces.now = self.time
+            self.traces.refresh()
+            self.drive.refresh()
+            if self.slider.value != self.time:
+                self.slider.value = self.time
             self._name_picked()
 
         at_once(self.server, send)
@@ -144,7 +149,7 @@ class TrialPage(Wishes):
     @property
     def _every(self) -> float:
         """Time between two pictures [s]."""
-        return max(PICTURE, self._figure.bytes_per_frame / TRAFFIC)
+        return max(PICTURE, self.figure.bytes_per_frame / TRAFFIC)
 
     def _shift(self, data: Any) -> np.ndarray:
         """Return how far all is moved aside [m], so that the body stays in the middle."""
@@ -153,11 +158,11 @@ class TrialPage(Wishes):
     def _add_panel(self) -> None:
         """Add controls and traces."""
         gui, widgets, recorded = self.server.gui, Widgets(self), self.recorded
-        self._drive = Drive(self, self._said)
+        self.drive = Drive(self, self._said)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Trial"):
             first, last = map(float, recorded.time[[0, -1]])
-            self._slider = widgets.slide(
+            self.slider = widgets.slide(
                 "time", "time [s]", (first, last), 1e-3, lambda: self.time,
                 lambda value: self.show(recorded.frame_at(value)), "Pauses, and shows this moment.",
             )  # fmt: skip
@@ -170,7 +175,7 @@ class TrialPage(Wishes):
             self._legend = gui.add_html(html.legend(QUANTITIES[self.color]))
             widgets.tick("camera follows", lambda: self.follow, lambda on: setattr(self, "follow", on))
         with tabs.add_tab("Traces"):
-            self._traces = TrialTraces(self, widgets, recorded)
+            self.traces = TrialTraces(self, widgets, recorded)
         self.bind_keys()
 
     def _paint(self, color: str) -> None:
@@ -200,8 +205,8 @@ class TrialPage(Wishes):
 
     def _name_picked(self) -> None:
         """Write beside the muscle that was clicked what it does."""
-        place = self._figure.middle_of(self._picked)
-        self._tag.visible = place is not None
+        place = self.figure.middle_of(self._picked)
+        self.tag.visible = place is not None
         if place is None:
             return
         parts = [self._picked]
@@ -211,13 +216,13 @@ class TrialPage(Wishes):
                 if self._picked in course.items:
                     value = course.values[self.frame, course.items.index(self._picked)]
                     parts.append(f"{kind} {value:.3g}" + ("" if course.unit == "1" else f" {course.unit}"))
-        self._tag.text, self._tag.position = " · ".join(parts), place
+        self.tag.text, self.tag.position = " · ".join(parts), place
 
     def _fit(self) -> None:
         """Point the camera at the trial instead of the joints' ranges."""
         count = len(self.recorded.time)
         chosen = np.unique(np.linspace(0, count - 1, min(count, 24)).round().astype(int))
-        model, figure = self.recorded.model, self._figure
+        model, figure = self.recorded.model, self.figure
 
         def moments() -> Any:
             for frame in chosen:

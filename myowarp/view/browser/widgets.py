@@ -75,7 +75,7 @@ class Widgets:
                 return
             try:
                 do(value)
-            except Exception:
+            except Exception:  # whatever it is, the control goes back, and the page says it
                 handle.value = now()
                 raise
             self._live.message = ""

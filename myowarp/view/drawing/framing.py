@@ -106,7 +106,7 @@ class Framing:
 
     def fit(self, moments: Iterable[tuple[mujoco.MjData, Mapping[str, np.ndarray]]]) -> None:
         """Fit the picture to moments instead of the joints' ranges: data, posed, and goals of each."""
-        extents = [self._extent(self._points(*moment) - self.shift(moment[0])) for moment in moments]
+        extents = [self._extent(self.points(*moment) - self.shift(moment[0])) for moment in moments]
         low, high = np.array([e[0] for e in extents]), np.array([e[1] for e in extents])
         # Objects that fall down take the median's place, not their own.
         spread = np.median(high - low, axis=0)
@@ -125,7 +125,7 @@ class Framing:
         shift = self.shift(data)
         low, high = self._usual
         reach = STRETCH * (high - low)
-        now_low, now_high = self._extent(self._points(data, goals) - shift)
+        now_low, now_high = self._extent(self.points(data, goals) - shift)
         low = np.clip(now_low, low - reach, low)
         high = np.clip(now_high, high, high + reach)
         middle, distance = self._place(low, high)
@@ -156,7 +156,7 @@ class Framing:
         """Return how far a root that moves has come since the start [m], shape (3,)."""
         return data.xpos[self._root] - self._home if self._root else np.zeros(3)
 
-    def _points(self, data: mujoco.MjData, goals: Mapping[str, np.ndarray]) -> np.ndarray:
+    def points(self, data: mujoco.MjData, goals: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return the points [m] that a picture must hold, shape (n, 3)."""
         paths = look.tendon_segments(self._model, data, self._tendons)[:2]
         targets = np.array(list(goals.values()), dtype=float).reshape(-1, 3)
@@ -205,7 +205,7 @@ class Framing:
             if not clouds:
                 self._home = data.xpos[self._root].copy()
                 middle = data.geom_xpos[still].mean(axis=0) if len(still) else None
-            clouds.append(self._points(data, {}))
+            clouds.append(self.points(data, {}))
             ends.append(look.geom_box(model, data, self._end) if len(self._end) else clouds[-1])
         if not len(clouds[0]):
             raise ValueError("the camera needs a geom or a muscle to look at, got a model with neither")

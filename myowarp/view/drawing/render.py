@@ -252,6 +252,11 @@ class WorldRenderer:
             self._overlay.legend(QUANTITIES[self._drawing.color])
         return _shrunk(canvas.read())
 
+    @property
+    def scene(self) -> mujoco.MjvScene | None:
+        """MuJoCo's scene, with the geoms of the last picture; None after `close`."""
+        return None if self._canvas is None else self._canvas.scene
+
     def close(self) -> None:
         """Frees the OpenGL context; safe to call twice."""
         if self._canvas is not None:

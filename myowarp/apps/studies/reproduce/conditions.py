@@ -60,7 +60,7 @@ Shares = Mapping[tuple[str, str], np.ndarray]
 
 
 @cache
-def _baseline(task: str) -> Baseline:
+def baseline_of(task: str) -> Baseline:
     """Return a task's baseline, read once for all of its cells."""
     return load_baseline(task)
 
@@ -76,7 +76,7 @@ def applies(condition: str, task: str) -> bool:
 
 def solved() -> list[str]:
     """Return the tasks whose policy in the package solves at least `SOLVED` of its episodes."""
-    return [task for task in baseline_tasks() if _drawn(_baseline(task)) >= SOLVED]
+    return [task for task in baseline_tasks() if _drawn(baseline_of(task)) >= SOLVED]
 
 
 def _drawn(baseline: Baseline) -> float:
@@ -86,7 +86,7 @@ def _drawn(baseline: Baseline) -> float:
 
 def adaptation(task: str, condition: str) -> Training:
     """Return how a task's policy is trained on under a condition."""
-    baseline = _baseline(task)
+    baseline = baseline_of(task)
     manifest, policy = baseline.checkpoint.manifest, baseline.checkpoint.policy
     settings: dict[str, Any] = {name: value for name, value in baseline.settings().items() if name != "seed"}
     samples = baseline.runs[0]["training"]["samples"] // PART
@@ -112,9 +112,9 @@ def run(lab: Lab) -> Findings:
     cells = [(t, c) for t in tasks for c in (NONE, *CONDITIONS) if c == NONE or applies(c, t)]
     if lab.retrain:
         for task in tasks:
-            _baseline(task).check_trainer()
+            baseline_of(task).check_trainer()
     lab.expect(len(cells))
-    before = {(t, c): _episodes(lab, "before", t, c, _baseline(t).checkpoint) for t, c in cells}
+    before = {(t, c): _episodes(lab, "before", t, c, baseline_of(t).checkpoint) for t, c in cells}
     shares = {cell: found["success"] for cell, found in before.items()}
     lost = [cell for cell in cells if cell[1] in ADAPTED and _loss(shares, *cell) > LOSS]
     wanted = sorted({(task, NONE) for task, _ in lost} | set(lost))

@@ -137,13 +137,23 @@ def moment_arm_errors(
     for name, reference in fits.references().items():
         tendon = model.tendon(name).id
         for coordinate in reference.moment_arm:
-            one = _pair(name, coordinate, reference, found.moment_arm[:, tendon, free.index(coordinate)])
+            one = moment_arm_error(
+                name, coordinate, reference, found.moment_arm[:, tendon, free.index(coordinate)]
+            )
             if not one.peak <= PRESENT:  # one that is no number is shown, too
                 errors.append(one)
     return errors
 
 
-def _pair(muscle: str, coordinate: str, reference: Reference, found: Array) -> MomentArmError:
+def moment_arm_error(muscle: str, coordinate: str, reference: Reference, found: Array) -> MomentArmError:
+    """Return the errors of moment arms of one path about one coordinate.
+
+    Args:
+        muscle: Name of the path.
+        coordinate: Name of the coordinate.
+        reference: Lengths, moment arms and slopes of the path in OpenSim's law.
+        found: Moment arms of the converted model in the same postures [m or 1], shape (num_postures,).
+    """
     arm, slope = reference.moment_arm[coordinate], reference.slope[coordinate]
     agreed = reference.consistent(coordinate)
     judge = np.where(agreed, arm, slope)
