@@ -70,13 +70,8 @@ class Selection:
         """Evaluate a policy; returns whether it is the best one so far."""
         job, quiet = self._job, Console(quiet=True)
         if self._sim is None:
-<<<<<<< HEAD
-            self._sim = self._build()
-        act = Bound(Checkpoint(job.folder, dict(manifest), dict(policy)), self._sim)
-=======
             self._sim = evaluated_worlds(job)
-        act = bind(Checkpoint(job.folder, dict(manifest), dict(policy)), self._sim)
->>>>>>> house
+        act = Bound(Checkpoint(job.folder, dict(manifest), dict(policy)), self._sim)
         figures = dataclasses.asdict(evaluate(self._sim, act, console=quiet, ranks=job.ranks))
         self.last = Score(samples, figures[job.settings.stop_rule], figures["return_mean"])
         if self.best and (self.best.success, self.best.returns) >= (self.last.success, self.last.returns):
