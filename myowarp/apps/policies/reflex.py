@@ -423,7 +423,7 @@ class ReflexControl:
 
     def copy(self, source: int, target: int) -> None:
         """Let a world have felt what another one of its shard has, and be in its phase."""
-        for legs in self._legs:
+        for legs in self.legs:
             own = legs.shard.scene.worlds.own
             if own.start <= source < own.stop and own.start <= target < own.stop:
                 for array in (legs.senses, legs.phase):

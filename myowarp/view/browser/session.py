@@ -194,8 +194,8 @@ class Session:
         set_state(self.sim, get_state(self.sim, self.world), self.twin, conditions=False)
         self.returns[self.twin] = self.returns[self.world]
         for remembering in (self.economy, self._act):
-            if hasattr(remembering, "copy"):
-                remembering.copy(self.world, self.twin)
+            if (copy := getattr(remembering, "copy", None)) is not None:
+                copy(self.world, self.twin)
 
     def turn(self, knob: Knob, value: float, muscles: Sequence[str]) -> None:
         """Change the patient in all worlds but the twin.
