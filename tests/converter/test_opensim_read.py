@@ -256,6 +256,65 @@ def test_bad_input_is_refused(case, tmp_path):
     assert "\n" not in str(caught.value)
 
 
+FUNCTION = '<LinearFunction name="function"><coefficients>0.5 0</coefficients></LinearFunction>'
+TWIST = "<coordinates>twist</coordinates><axis>0 1 0.2</axis>"
+COUPLER = "<coupled_coordinates_function>"
+MISREAD = {
+    "unknown function": (
+        "joints",
+        FUNCTION,
+        FUNCTION.replace("LinearFunction", "Wave"),
+        r"Wave.* is no supp",
+    ),
+    "function of another name": ("joints", FUNCTION, FUNCTION.replace('="f', '="another_f'), "no <function>"),
+    "no function": ("joints", FUNCTION, "", r"'rotation3'> has no <function> of its coordinate 'twist'"),
+    "function of nothing": (
+        "joints",
+        TWIST,
+        TWIST.replace("twist", ""),
+        r"no constant, and names no coordinate",
+    ),
+    "axis twice": ("joints", '="rotation2"', '="rotation1"', r"'cus'> has two axes of one name"),
+    "coordinate missing": (
+        "joints",
+        '<Coordinate name="gim_b">',
+        '<Lost name="gim_b">',
+        r"have 3 coord.* got 2",
+    ),
+    "decimal comma": ("joints", "0.01 0.02 0.07", "0,01 0,02 0,07", r"numbers with points, not commas"),
+    "frame of another joint": ("joints", "frame>p</", "frame>far</", r"of that name is, but not there"),
+    "coupler without function": ("forces", COUPLER, "<lost>", r"has no <coupled_coordinates_function>"),
+    "negative stiffness": ("forces", "stiffness>900<", "stiffness>-900<", r"must be at least 0, got -900"),
+    "negative spring": ("forces", "<stiffness>700<", "<stiffness>-700<", r"must be at least 0, got -700"),
+    "exponent": ("arm26", "<KshapePassive>4", "<KshapePassive>4000", r"KshapePassive at most 50, got 4000"),
+}
+"""Text of a model, and what else than it said was read from another one before: what OpenSim 4.6 refuses, or
+reads as no motion."""
+
+
+@pytest.mark.parametrize("case", MISREAD)
+def test_what_could_only_be_guessed_is_refused(case, tmp_path):
+    name, old, new, message = MISREAD[case]
+    path = changed(tmp_path, MODELS / f"{name}.osim", old, new)
+    if old == COUPLER:
+        path.write_text(path.read_text().replace("</coupled_coordinates_function>", "</lost>", 1))
+    if "Lost" in new:
+        text = path.read_text()
+        begin = text.index("<Lost")
+        path.write_text(text[:begin] + text[text.index("</Coordinate>", begin) + 13 :])
+    with pytest.raises((ValueError, NotImplementedError), match=message) as caught:
+        read_model(path)
+    assert re.match(rf"{re.escape(str(path))}:\d+: <\w+", str(caught.value))
+
+
+def test_a_function_needs_no_name(tmp_path):
+    named, unnamed = (
+        read_model(changed(tmp_path, JOINTS, FUNCTION, text)).joints["cus"].moves
+        for text in (FUNCTION, FUNCTION.replace(' name="function"', ""))
+    )
+    assert [move.function for move in unnamed] == [move.function for move in named]
+
+
 CYCLIC = (
     "<socket_parent>..</socket_parent>\n              <translation>0.02",
     "<socket_parent>farther</socket_parent>\n              <translation>0.02",

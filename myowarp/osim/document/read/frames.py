@@ -190,12 +190,14 @@ class Frames:
         near = [frame for frame in found if frame.tag in ("Body", "Ground")] or [
             frame for frame in found if frame.parent is not None and frame.parent.parent is owner
         ]
-        if len(found) == 1 or len(near) == 1:
-            return near[0] if near else found[0]
+        if len(near) == 1:
+            return near[0]
         if name == GROUND:
             return None
+        if near:
+            raise owner.error(f"is attached to {target!r}, and {len(near)} frames have that name")
         if found:
-            raise owner.error(f"is attached to {target!r}, and {len(found)} frames have that name")
+            raise owner.error(f"is attached to {target!r}; a frame of that name is, but not there")
         raise owner.error(f"is attached to {target!r}, but the model has no such body or frame")
 
     def attached(self, element: Element, *sockets: str) -> tuple[str, Pose]:
