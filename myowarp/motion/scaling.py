@@ -20,7 +20,7 @@ import numpy as np
 
 from myowarp.disk import make_folder
 from myowarp.motion.inverse_kinematics import Fitted, inverse_kinematics
-from myowarp.motion.markers import Markers, read_trc
+from myowarp.motion.markers import Markers, read_trc, say_unmatched
 from myowarp.motion.movement import write_angles
 from myowarp.motion.setup_words import Span, body_of, file_of, span_of
 from myowarp.motion.tasks import Tasks, tasks_of
@@ -314,6 +314,7 @@ def place_markers(
     mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
     still = Markers(recorded.names, recorded.time[:1], mean[None])
     bones = Bones(document.model, device)
+    say_unmatched(tuple(bones.model.markers), still)
     pose = inverse_kinematics(bones, still, tasks.among(still.names), tasks.coordinates, tasks.values)
     frames = forward(
         document.model, complete(document.model, dict(zip(pose.coordinates, pose.values.T, strict=True)), 1)

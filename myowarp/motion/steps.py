@@ -20,7 +20,7 @@ from myowarp.motion.inverse_dynamics import Load, Needed, inverse_dynamics
 from myowarp.motion.inverse_kinematics import Fitted, inverse_kinematics
 from myowarp.motion.joint_reactions import joint_reactions
 from myowarp.motion.loads import Loads, prescribed_loads
-from myowarp.motion.markers import Markers, MarkerStream, read_trc
+from myowarp.motion.markers import Markers, MarkerStream, read_trc, say_unmatched
 from myowarp.motion.metabolic_power import metabolic_power
 from myowarp.motion.movement import Movement, read_motion, read_parts
 from myowarp.motion.muscle_forces import MuscleForces, muscle_forces, rigid_capacity
@@ -87,6 +87,7 @@ def _angles(bones: Bones, setup: TrialSetup, whole: bool) -> Iterator[JointAngle
         wanted = _targets(bones, setup, held, recorded)
         fitted = inverse_kinematics(bones, recorded, **wanted, start=start)
         if start is None:
+            say_unmatched(tuple(bones.model.markers), recorded)
             say_tipped(bones, fitted)
         start = dict(zip(fitted.coordinates, fitted.values[-1], strict=True))
         yield JointAngles(bones, fitted, recorded, wanted, gaps, total)

@@ -223,6 +223,22 @@ def test_a_model_that_lies_is_named(leg, caplog, tip, said):
         assert float(re.search(r"by (\d+)", text)[1]) == pytest.approx(least, abs=2.0)
 
 
+@pytest.mark.parametrize(("prefix", "left"), [("walker:", 2), ("", 1)])
+def test_markers_that_are_called_otherwise_are_named(leg, caplog, prefix, left):
+    """Two of them, which then count in no pose; not a recording that only has fewer or more."""
+    folder, there, names = leg
+    called = tuple(prefix + name if number < 2 else name for number, name in enumerate(names))
+    bones, kept = Bones.read(LEG), slice(0 if prefix else 1, None)
+    write_trc(folder / "named.trc", Markers(called[kept], there["time"], there["seen"][:, kept]))
+    with caplog.at_level(logging.WARNING):
+        found = kinematics(bones, TrialSetup(markers=folder / "named.trc"))
+    assert len(found.fitted.names) == len(names) - left
+    said = [text for record in caplog.records if "no marker called" in (text := record.getMessage())]
+    assert len(said) == bool(prefix)
+    for text in said:
+        assert f"no marker called {called[0]}, {called[1]}, and the recording none called {names[0]}" in text
+
+
 @pytest.mark.parametrize(("span", "said"), [
     ((0.5, 9.0), "of 0.5 to 9 s, the motion is only from 0 to 1 s"),
     ((-3.0, 0.5), "of -3 to 0.5 s, the motion is only from 0 to 1 s"),
