@@ -315,6 +315,15 @@ def test_a_function_needs_no_name(tmp_path):
     assert [move.function for move in unnamed] == [move.function for move in named]
 
 
+def test_of_two_properties_of_a_name_the_first_counts(tmp_path):
+    once = "<tendon_slack_length>0.14299999999999999"
+    both = "".join(
+        f"<ignore_tendon_compliance>{word}</ignore_tendon_compliance>" for word in ("true", "false")
+    )
+    muscle = read_model(changed(tmp_path, ARM, once, both + once)).muscles["TRIlong"]
+    assert muscle.ignore_tendon_compliance
+
+
 CYCLIC = (
     "<socket_parent>..</socket_parent>\n              <translation>0.02",
     "<socket_parent>farther</socket_parent>\n              <translation>0.02",

@@ -76,7 +76,7 @@ def _leaves(element: Element) -> tuple[dict[str, float], dict[str, Function]]:
     """Return the numbers that an element states, and its functions, by property."""
     numbers: dict[str, float] = {}
     curves: dict[str, Function] = {}
-    for child in element.children:
+    for child in reversed(element.children):  # of two of a name the first one counts, as in OpenSim
         if child.tag in STRUCTURE:
             continue
         if child.tag in READERS:
