@@ -203,6 +203,24 @@ def test_kinematics_of_a_set_up_file(leg):
     assert np.abs(there["fitted"][:, knee] - held[:, knee]).max() > 0.01
 
 
+@pytest.mark.parametrize(("weight", "refused"), [("1e6", True), ("0", False)])
+def test_a_value_in_degrees_is_refused_where_it_counts(leg, weight, refused):
+    folder, _, names = leg
+    tasks = "".join(f'<IKMarkerTask name="{name}"><weight>1</weight></IKMarkerTask>' for name in names)
+    text = KINEMATICS.format(tasks).replace(
+        "from_file</value_type>", "manual_value</value_type><value>-30</value>"
+    )
+    (folder / "ik.xml").write_text(text.replace("<weight>1e6<", f"<weight>{weight}<"))
+    bones, setup = Bones.read(LEG), read_tool_setup(folder / "ik.xml")
+    if not refused:
+        assert np.isfinite(kinematics(bones, setup).fitted.values).all()
+        return
+    with pytest.raises(
+        ValueError, match="'knee_angle_r' should have the value -30, in radians -1719 degrees; a"
+    ):
+        kinematics(bones, setup)
+
+
 @pytest.mark.parametrize(("tip", "said"), [(0.0, False), (25.0, False), (-70.0, True), (90.0, True)])
 def test_a_model_that_lies_is_named(leg, caplog, tip, said):
     """Markers about another vertical axis fit as well: the root turns with them."""
