@@ -25,7 +25,7 @@ MAX_DEPTH = 64  # models need about 15
 MAX_ELEMENTS = 2_000_000
 MAX_NUMBER = 1e15  # of any unit: beyond it arithmetic overflows sooner or later
 LONG_WORD = re.compile(r"\S{80,}")
-DECIMAL_COMMA = re.compile(r"[^.]*\d,\d[^.]*")
+DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
 BARE_AMPERSAND = re.compile(r"&(?!(?:amp|lt|gt|quot|apos|#\d{1,7}|#x[0-9A-Fa-f]{1,6});)")
 
 
