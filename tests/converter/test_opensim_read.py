@@ -315,6 +315,22 @@ def test_a_function_needs_no_name(tmp_path):
     assert [move.function for move in unnamed] == [move.function for move in named]
 
 
+@pytest.mark.parametrize("form", ['<{0} name="{1}">{2}</{0}>', "<{1}><{0}>{2}</{0}></{1}>"])
+@pytest.mark.parametrize("function", ["SimmSpline", "Wave"])
+def test_curves_of_muscles_are_read_or_refused(function, form, tmp_path):
+    curve = form.format(function, "active_force_length_curve", "<x>0 1 2</x><y>0 1 0</y>")
+    text = ARM.read_text().replace("Thelen2003Muscle", "Schutte1993Muscle_Deprecated")
+    path = tmp_path / "spline.osim"
+    path.write_text(text.replace("<max_isometric_force>", f"{curve}<max_isometric_force>", 1))
+    if function == "Wave":
+        with pytest.raises(NotImplementedError, match="is no supported function"):
+            read_model(path)
+        return
+    assert read_model(path).muscles["TRIlong"].curves == {
+        "active_force_length_curve": SimmSpline((0.0, 1.0, 2.0), (0.0, 1.0, 0.0))
+    }
+
+
 def test_of_two_properties_of_a_name_the_first_counts(tmp_path):
     once = "<tendon_slack_length>0.14299999999999999"
     both = "".join(

@@ -79,9 +79,9 @@ def _leaves(element: Element) -> tuple[dict[str, float], dict[str, Function]]:
     for child in reversed(element.children):  # of two of a name the first one counts, as in OpenSim
         if child.tag in STRUCTURE:
             continue
-        if child.tag in READERS:
+        if child.tag in READERS or child.name.endswith("_curve"):
             curves[child.name] = read_function(child)
-        elif child.children and child.children[0].tag in READERS:
+        elif child.children and (child.children[0].tag in READERS or child.tag.endswith("_curve")):
             curves[child.tag] = read_function(child.children[0])
         elif child.children:
             inner, _ = _leaves(child)
