@@ -307,6 +307,25 @@ def test_what_could_only_be_guessed_is_refused(case, tmp_path):
     assert re.match(rf"{re.escape(str(path))}:\d+: <\w+", str(caught.value))
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("<orientation>0.2 -0.3 0.4<", "<orientation>0 0 -90<", "has the orientation 0 0 -90 in radians"),
+        ("<default_value>0.3</default_value>", "<default_value>30</default_value>", "has the default 30 in"),
+        ("<range>-1.2 1.1</range>", "<range>-120 10</range>", "has the range -120 10 in radians, as OpenSim"),
+        ("<range>-1.2 1.1</range>", "<range>-10 10</range>", ""),
+        ("<range>-1.2 1.1</range>", "<range>-99999.9 99999.9</range>", ""),
+    ],
+)
+def test_angles_that_look_like_degrees_are_said(old, new, said, tmp_path, caplog):
+    text = JOINTS.read_text()
+    begin = text.index('name="loc"') if "orient" in old else text.index('name="gim_b"')
+    (tmp_path / "turned.osim").write_text(text[:begin] + text[begin:].replace(old, new, 1))
+    read_model(tmp_path / "turned.osim")
+    assert len(caplog.records) == bool(said)
+    assert said in caplog.text
+
+
 def test_a_function_needs_no_name(tmp_path):
     named, unnamed = (
         read_model(changed(tmp_path, JOINTS, FUNCTION, text)).joints["cus"].moves

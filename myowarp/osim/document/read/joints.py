@@ -10,7 +10,7 @@ from myowarp.osim.document.functions import IDENTITY, Constant, Multiplier, affi
 from myowarp.osim.document.model import GROUND, Coordinate, Joint, Move, Note
 from myowarp.osim.document.read.element import Element
 from myowarp.osim.document.read.frames import IDENTITY as IDENTITY_POSE
-from myowarp.osim.document.read.frames import Frames, pose_of
+from myowarp.osim.document.read.frames import TURN, Frames, pose_of, say_radians
 from myowarp.osim.document.read.functions import function_in
 
 X, Y, Z = np.eye(3)
@@ -54,6 +54,9 @@ ELLIPSOIDS = {
 """OpenSim's class: number of coordinates, axes of the first two, and the property that holds the radii."""
 
 JOINTS = (*SIMPLE, "CustomJoint", *ELLIPSOIDS, "ConstantCurvatureJoint")
+
+LIKE_DEGREES = 10.0, 720.0
+"""Ends of a range that no angle in radians has: beyond OpenSim's default, and below those of no range."""
 
 SAME_RADIUS = 1e-5
 """[m]: radii of an ellipsoid that differ by less are the same; their mean is taken."""
@@ -249,6 +252,10 @@ def read_coordinate(element: Element | None, name: str, joint: Joint) -> tuple[C
     if low > high:
         raise element.error(f"must have an ascending range, got {low:g} {high:g}")
     default, notes = element.number("default_value", default=0.0), []
+    if rotational and abs(default) > TURN:
+        say_radians(element, "the default", (default,))
+    if rotational and LIKE_DEGREES[0] < max(abs(low), abs(high)) <= LIKE_DEGREES[1]:
+        say_radians(element, "the range", (low, high))
     prescribed = function_in(element, "prescribed_function")
     if prescribed is not None and element.flag("prescribed", default=False):
         default, locked = float(prescribed.value(0.0)), True
