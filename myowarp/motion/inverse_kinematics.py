@@ -27,9 +27,9 @@ from myowarp.kernels.batching import batched
 from myowarp.kernels.cholesky import eliminated, substitute
 from myowarp.kernels.launch import launch
 from myowarp.motion.markers import Markers
-from myowarp.motion.units import TURN
 from myowarp.osim.body.parts import in_parts
 from myowarp.osim.body.skeleton import Bones, Placement, Skeleton, place, station
+from myowarp.osim.document.read.frames import TURN
 
 STRIDE = 16
 """Frames that follow each other in one world."""

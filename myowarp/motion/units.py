@@ -15,8 +15,8 @@ import numpy as np
 
 from myowarp.motion.storage import Storage, logger
 from myowarp.osim.document.model import Model
+from myowarp.osim.document.read.frames import TURN
 
-TURN = 2.0 * np.pi
 BEYOND = np.pi / 2
 """[rad] behind the end of a range from which, beyond a turn, an angle is doubted."""
 NEAR = 0.2

@@ -21,7 +21,8 @@ FRAMES = ("Body", "Ground", "PhysicalOffsetFrame", "OffsetFrame", DEFINED)
 
 STATIONS = ("Station", "Marker")
 
-TURN = 6.2832  # rad
+TURN = 2.0 * np.pi * (1.0 + 1e-5)
+"""[rad] beyond which no angle needs to be."""
 
 SMALLEST = 1e-9
 """[m] from the line through two points that a third one may be."""
