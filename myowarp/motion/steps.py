@@ -38,6 +38,7 @@ from myowarp.motion.results import (
 from myowarp.motion.setup import EXPONENT, POSES, TrialSetup
 from myowarp.motion.streams import Margin, is_long
 from myowarp.motion.tracking import track as simulate
+from myowarp.motion.units import hardly_seconds
 from myowarp.osim.body.hill_muscle import HillMuscle, known
 from myowarp.osim.body.model_forces import open_loops
 from myowarp.osim.body.muscle_paths import MusclePaths, muscle_paths
@@ -88,6 +89,8 @@ def _angles(bones: Bones, setup: TrialSetup, whole: bool) -> Iterator[JointAngle
         fitted = inverse_kinematics(bones, recorded, **wanted, start=start)
         if start is None:
             say_unmatched(tuple(bones.model.markers), recorded)
+            if doubt := hardly_seconds(setup.recording, recorded.time):
+                logger.warning("%s", doubt)
             say_tipped(bones, fitted)
         start = dict(zip(fitted.coordinates, fitted.values[-1], strict=True))
         yield JointAngles(bones, fitted, recorded, wanted, gaps, total)

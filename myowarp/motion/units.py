@@ -40,6 +40,17 @@ def coordinate_of(label: str) -> str:
     return label.split("/")[-2] if label.endswith("/value") else label
 
 
+def hardly_seconds(path: Path, time: np.ndarray) -> str:
+    """Return why times of a recording, shape (rows,), are hardly seconds; "": they may be."""
+    lasts = float(time[-1] - time[0])
+    rate = (len(time) - 1) / max(lasts, 1e-9)
+    if lasts <= LASTING or rate >= SLOW:
+        return ""
+    return (
+        f"the motion of {str(path)!r} lasts {lasts:.4g} s at {rate:.2g} Hz; is its time in ms, or in percent?"
+    )
+
+
 class Angles:
     """Coordinates of a recording, which may come in parts; what is doubtful of it is said once.
 
@@ -106,14 +117,8 @@ class Angles:
                 f"locked in the model, and not where {str(self.path)!r} has it: {', '.join(held[:SHOWN])}; "
                 "OpenSim's inverse dynamics moves it all the same: unlock it if it moves",
             )
-        lasts = float(table.time[-1] - table.time[0])
-        rate = (len(table.time) - 1) / max(lasts, 1e-9)
-        if lasts > LASTING and rate < SLOW:
-            self._say(
-                "time",
-                f"the motion of {str(self.path)!r} lasts {lasts:.4g} s at {rate:.2g} Hz; is its time in ms, "
-                "or in percent?",
-            )
+        if doubt := hardly_seconds(self.path, table.time):
+            self._say("time", doubt)
 
     def _held(self, table: Storage) -> list[str]:
         """Return the locked coordinates that a table has elsewhere."""

@@ -203,6 +203,14 @@ def test_kinematics_of_a_set_up_file(leg):
     assert np.abs(there["fitted"][:, knee] - held[:, knee]).max() > 0.01
 
 
+def test_markers_over_milliseconds_are_doubted(leg, caplog):
+    folder, there, names = leg
+    write_trc(folder / "ms.trc", Markers(names, 1e3 * there["time"], there["seen"]))
+    with caplog.at_level(logging.WARNING):
+        kinematics(Bones.read(LEG), TrialSetup(markers=folder / "ms.trc"))
+    assert re.search(r"'.*ms\.trc' lasts [\d.e+]+ s at 0\.\d+ Hz; is its time in ms", caplog.text)
+
+
 @pytest.mark.parametrize(("weight", "refused"), [("1e6", True), ("0", False)])
 def test_a_value_in_degrees_is_refused_where_it_counts(leg, weight, refused):
     folder, _, names = leg
