@@ -29,6 +29,7 @@ from myowarp.kernels.launch import launch
 from myowarp.motion.markers import Markers
 from myowarp.osim.body.parts import in_parts
 from myowarp.osim.body.skeleton import Bones, Placement, Skeleton, place, station
+from myowarp.osim.document.read.frames import TURN
 
 STRIDE = 16
 """Frames that follow each other in one world."""
@@ -585,7 +586,7 @@ def targets_of(
         still: Coordinates that stay at their defaults.
 
     Raises:
-        ValueError: A coordinate is unknown.
+        ValueError: A coordinate is unknown, or the one value of an angle is beyond a turn.
     """
     model, names, weights, values = bones.model, bones.coordinates, weights or {}, values or {}
     pull, wanted = np.zeros(len(names)), np.zeros((count, len(names)))
@@ -595,7 +596,12 @@ def targets_of(
         elif name not in model.coordinates:
             raise ValueError(f"coordinate {name!r} unknown; available: {', '.join(model.coordinates)}")
     for k, name in enumerate(names):
-        wanted[:, k] = values.get(name, model.coordinates[name].default)
+        wanted[:, k] = value = values.get(name, model.coordinates[name].default)
+        if pull[k] and model.coordinates[name].rotational and np.ndim(value) == 0 and abs(value) > TURN:
+            raise ValueError(
+                f"coordinate {name!r} should have the value {value:g}, in radians {np.degrees(value):.4g} "
+                "degrees; a value of an angle is in radians"
+            )
     bounds = [
         model.coordinates[n].range if model.coordinates[n].clamped else (-np.inf, np.inf) for n in names
     ]

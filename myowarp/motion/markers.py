@@ -22,6 +22,8 @@ from myowarp.motion.streams import Stream
 
 UNITS = {"mm": 1e-3, "millimeters": 1e-3, "cm": 1e-2, "centimeters": 1e-2, "m": 1.0, "meters": 1.0}
 """Metres of each unit, by lower-case name."""
+SHOWN = 5
+"""Markers that are named."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,6 +189,28 @@ class MarkerStream(Stream):
             self._told = True
         positions[nowhere | ~np.isfinite(positions).all(axis=2)] = np.nan
         return Markers(self._names, table.time, positions)
+
+
+def say_unmatched(known: Sequence[str], recorded: Markers) -> None:
+    """Say which recorded markers a model does not know, where markers of its own are not in the recording.
+
+    Markers that have two names, one here and one there, count in no pose.
+    """
+    unknown = [name for name in recorded.names if name not in known]
+    unseen = [name for name in known if name not in recorded.names]
+    if unknown and unseen:
+        logger.warning(
+            "the model has no marker called %s, and the recording none called %s; rename those that are the "
+            "same: others do not count",
+            _listed(unknown),
+            _listed(unseen),
+        )
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return the first of some names, and how many more there are."""
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return f"{', '.join(names[:SHOWN])}{more}"
 
 
 def write_trc(path: Path, markers: Markers) -> None:

@@ -24,6 +24,7 @@ from myowarp.osim.body.scale_document import Document
 from myowarp.osim.document.kinematics import about, complete, forward
 from myowarp.osim.document.model import GROUND, Model
 from myowarp.osim.document.read.element import Element, parse, write
+from myowarp.osim.document.read.frames import TURN, say_radians
 
 SUFFIX = "_imu"
 """Of a sensor's name, after that of its body."""
@@ -157,8 +158,11 @@ class Placing:
 
 def angles_in(tool: Element) -> tuple[float, float, float]:
     """Return the `sensor_to_opensim_rotations` of a set-up file [rad]."""
-    x, y, z = tool.numbers("sensor_to_opensim_rotations", default=(0.0, 0.0, 0.0), count=3)
-    return float(x), float(y), float(z)
+    tag = "sensor_to_opensim_rotations"
+    x, y, z = map(float, tool.numbers(tag, default=(0.0, 0.0, 0.0), count=3))
+    if max(map(abs, (x, y, z))) > TURN:
+        say_radians(tool, f"the {tag}", (x, y, z))
+    return x, y, z
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ import numpy as np
 
 from myowarp.disk import make_folder
 from myowarp.motion.inverse_kinematics import Fitted, inverse_kinematics
-from myowarp.motion.markers import Markers, read_trc
+from myowarp.motion.markers import Markers, read_trc, say_unmatched
 from myowarp.motion.movement import write_angles
 from myowarp.motion.setup_words import Span, body_of, file_of, span_of
 from myowarp.motion.tasks import Tasks, tasks_of
@@ -33,6 +33,9 @@ from myowarp.osim.document.read.element import Element, parse, write
 AXES = ("X", "Y", "Z")
 UNSTATED = (-1.0, -1.0)
 """Times that ScaleTool writes where none are stated: it then takes the first frame."""
+
+MOST = 10.0
+"""By which a measurement may enlarge a body; 1 over it is the least."""
 
 Measured = tuple[float, tuple[tuple[str, str, float, float], ...]]
 """A factor, and for each pair the names, and distances in the model and in the recording [m]."""
@@ -213,7 +216,7 @@ def measure(model: Model, recorded: Markers, measurement: Measurement) -> Measur
     """Return the factor of a measurement, and what it is from.
 
     Raises:
-        ValueError: A marker is not there, was never seen, or is where its partner is.
+        ValueError: A marker is not there, was never seen, or is where its partner is; or nobody is so large.
     """
     frames = forward(model, complete(model, {}, 1))
     rows = []
@@ -235,7 +238,13 @@ def measure(model: Model, recorded: Markers, measurement: Measurement) -> Measur
                 f"model ({ours:g} m) and seen together in the recording ({len(seen)} frames)"
             )
         rows.append((*pair, ours, float(seen.mean())))
-    return float(np.mean([row[3] / row[2] for row in rows])), tuple(rows)
+    factor = float(np.mean([row[3] / row[2] for row in rows]))
+    if not 1.0 / MOST < factor < MOST:
+        raise ValueError(
+            f"measurement {measurement.name!r} makes bodies {factor:.3g} times as large, which must be "
+            f"{1.0 / MOST:g} to {MOST:g}; check the units of the recording and of the model"
+        )
+    return factor, tuple(rows)
 
 
 def scale(source: Path, setup: ScaleSetup, static: Path | None = None, device: Any = "cpu") -> Scaled:
@@ -314,6 +323,7 @@ def place_markers(
     mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
     still = Markers(recorded.names, recorded.time[:1], mean[None])
     bones = Bones(document.model, device)
+    say_unmatched(tuple(bones.model.markers), still)
     pose = inverse_kinematics(bones, still, tasks.among(still.names), tasks.coordinates, tasks.values)
     frames = forward(
         document.model, complete(document.model, dict(zip(pose.coordinates, pose.values.T, strict=True)), 1)

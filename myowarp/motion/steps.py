@@ -20,7 +20,7 @@ from myowarp.motion.inverse_dynamics import Load, Needed, inverse_dynamics
 from myowarp.motion.inverse_kinematics import Fitted, inverse_kinematics
 from myowarp.motion.joint_reactions import joint_reactions
 from myowarp.motion.loads import Loads, prescribed_loads
-from myowarp.motion.markers import Markers, MarkerStream, read_trc
+from myowarp.motion.markers import Markers, MarkerStream, read_trc, say_unmatched
 from myowarp.motion.metabolic_power import metabolic_power
 from myowarp.motion.movement import Movement, read_motion, read_parts
 from myowarp.motion.muscle_forces import MuscleForces, muscle_forces, rigid_capacity
@@ -38,6 +38,7 @@ from myowarp.motion.results import (
 from myowarp.motion.setup import EXPONENT, POSES, TrialSetup
 from myowarp.motion.streams import Margin, is_long
 from myowarp.motion.tracking import track as simulate
+from myowarp.motion.units import hardly_seconds
 from myowarp.osim.body.hill_muscle import HillMuscle, known
 from myowarp.osim.body.model_forces import open_loops
 from myowarp.osim.body.muscle_paths import MusclePaths, muscle_paths
@@ -87,6 +88,9 @@ def _angles(bones: Bones, setup: TrialSetup, whole: bool) -> Iterator[JointAngle
         wanted = _targets(bones, setup, held, recorded)
         fitted = inverse_kinematics(bones, recorded, **wanted, start=start)
         if start is None:
+            say_unmatched(tuple(bones.model.markers), recorded)
+            if doubt := hardly_seconds(setup.recording, recorded.time):
+                logger.warning("%s", doubt)
             say_tipped(bones, fitted)
         start = dict(zip(fitted.coordinates, fitted.values[-1], strict=True))
         yield JointAngles(bones, fitted, recorded, wanted, gaps, total)

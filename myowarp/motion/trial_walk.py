@@ -26,6 +26,8 @@ ACTIVATIONS = ("activations.sto", "emg.sto")
 """Of muscles, the first that is there counts; columns without a side are left out."""
 FLAT = 0.2, 0.4
 """Share of a contact in which the sole is flat on the ground."""
+UPRIGHT = 0.9
+"""Share of gravity along -y at least."""
 LEAST_BELT = 0.3
 """Speed of standing feet from which they stand on a belt [m/s]."""
 
@@ -56,6 +58,12 @@ def read_walk(trial: Path, model: Path | None = None, loads: Path | None = None)
     lacks += [name for name in feet.values() if name not in bones.bodies]
     if lacks:
         raise ValueError(f"a walk needs both legs, of which {str(model)!r} has no {', '.join(lacks)}")
+    gravity = bones.model.gravity
+    if not -gravity[1] > UPRIGHT * np.linalg.norm(gravity):
+        x, y, z = gravity
+        raise ValueError(
+            f"a walk needs a model whose y is up; gravity of {str(model)!r} is {x:g} {y:g} {z:g}"
+        )
     found = vertical_forces(loads)
     if found is None or set(found[1]) != set(SIDES):
         raise ValueError(f"{str(loads)!r} must have forces of the ground on a body of each side, _r and _l")
@@ -117,7 +125,16 @@ def over_ground(walk: Walk, belt: np.ndarray) -> Walk:
 
 
 def flexion(low: float, high: float) -> float:
-    """Return the sign of a knee's flexion, the direction in which its range is the longer one."""
+    """Return the sign of a knee's flexion, the direction in which its range is the longer one.
+
+    Raises:
+        ValueError: It is as long in both.
+    """
+    if np.isclose(-low, high):
+        raise ValueError(
+            f"a knee's range must be longer where it flexes, so that its sign is known; it is {low:.4g} to "
+            f"{high:.4g} rad"
+        )
     return 1.0 if abs(high) > abs(low) else -1.0
 
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from myowarp.motion.storage import Storage, logger
 from myowarp.osim.document.model import Model
+from myowarp.osim.document.read.frames import TURN
 
-TURN = 2.0 * np.pi
 BEYOND = np.pi / 2
 """[rad] behind the end of a range from which, beyond a turn, an angle is doubted."""
 NEAR = 0.2
@@ -29,6 +29,8 @@ ALIKE = 0.8
 """Share of two names from which one may be the other, misspelt (difflib's ratio)."""
 SLOW, LASTING = 5.0, 60.0
 """Rate [Hz] below which, and length [s] beyond which times are hardly seconds."""
+HELD = 1e-3
+"""[rad] or [m] that a recording may have a locked coordinate from its default."""
 SHOWN = 5
 """Columns that are named."""
 
@@ -36,6 +38,17 @@ SHOWN = 5
 def coordinate_of(label: str) -> str:
     """Return the coordinate of a column, called like it or like its state, `/jointset/knee/angle/value`."""
     return label.split("/")[-2] if label.endswith("/value") else label
+
+
+def hardly_seconds(path: Path, time: np.ndarray) -> str:
+    """Return why times of a recording, shape (rows,), are hardly seconds; "": they may be."""
+    lasts = float(time[-1] - time[0])
+    rate = (len(time) - 1) / max(lasts, 1e-9)
+    if lasts <= LASTING or rate >= SLOW:
+        return ""
+    return (
+        f"the motion of {str(path)!r} lasts {lasts:.4g} s at {rate:.2g} Hz; is its time in ms, or in percent?"
+    )
 
 
 class Angles:
@@ -73,7 +86,7 @@ class Angles:
         return columns | ({name: np.radians(x) for name, x in turning.items()} if table.in_degrees else {})
 
     def check_columns(self, table: Storage, absent: Iterable[str]) -> None:
-        """Name the columns of a table that no coordinate reads, and doubt times that are hardly seconds.
+        """Name columns that no coordinate reads, or a locked one, and doubt times that are hardly seconds.
 
         Args:
             table: Of the recording.
@@ -98,14 +111,25 @@ class Angles:
             more = f" and {len(unread) - SHOWN} more" if len(unread) > SHOWN else ""
             self._say("columns", f"no coordinate of the model reads these columns of {str(self.path)!r}: "
                       f"{', '.join(unread[:SHOWN])}{more}")  # fmt: skip
-        lasts = float(table.time[-1] - table.time[0])
-        rate = (len(table.time) - 1) / max(lasts, 1e-9)
-        if lasts > LASTING and rate < SLOW:
+        if held := self._held(table):
             self._say(
-                "time",
-                f"the motion of {str(self.path)!r} lasts {lasts:.4g} s at {rate:.2g} Hz; is its time in ms, "
-                "or in percent?",
+                "locked",
+                f"locked in the model, and not where {str(self.path)!r} has it: {', '.join(held[:SHOWN])}; "
+                "OpenSim's inverse dynamics moves it all the same: unlock it if it moves",
             )
+        if doubt := hardly_seconds(self.path, table.time):
+            self._say("time", doubt)
+
+    def _held(self, table: Storage) -> list[str]:
+        """Return the locked coordinates that a table has elsewhere."""
+        found = []
+        for label, values in zip(table.labels, table.values.T, strict=True):
+            known = self._model.coordinates.get(coordinate_of(label))
+            if known is not None and known.locked and known.name not in self._model.couplers:
+                turns = known.rotational and table.in_degrees
+                if np.abs((np.radians(values) if turns else values) - known.default).max(initial=0.0) > HELD:
+                    found.append(known.name)
+        return found
 
     def _check(self, table: Storage, turning: dict[str, np.ndarray]) -> None:
         """Ask whether angles, as they stand in the file, can have the unit that it is read in."""

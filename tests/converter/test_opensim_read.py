@@ -256,6 +256,109 @@ def test_bad_input_is_refused(case, tmp_path):
     assert "\n" not in str(caught.value)
 
 
+FUNCTION = '<LinearFunction name="function"><coefficients>0.5 0</coefficients></LinearFunction>'
+TWIST = "<coordinates>twist</coordinates><axis>0 1 0.2</axis>"
+COUPLER = "<coupled_coordinates_function>"
+MISREAD = {
+    "unknown function": (
+        "joints",
+        FUNCTION,
+        FUNCTION.replace("LinearFunction", "Wave"),
+        r"Wave.* is no supp",
+    ),
+    "function of another name": ("joints", FUNCTION, FUNCTION.replace('="f', '="another_f'), "no <function>"),
+    "no function": ("joints", FUNCTION, "", r"'rotation3'> has no <function> of its coordinate 'twist'"),
+    "function of nothing": (
+        "joints",
+        TWIST,
+        TWIST.replace("twist", ""),
+        r"no constant, and names no coordinate",
+    ),
+    "axis twice": ("joints", '="rotation2"', '="rotation1"', r"'cus'> has two axes of one name"),
+    "coordinate missing": (
+        "joints",
+        '<Coordinate name="gim_b">',
+        '<Lost name="gim_b">',
+        r"have 3 coord.* got 2",
+    ),
+    "decimal comma": ("joints", "0.01 0.02 0.07", "0,01 0,02 0,07", r"numbers with points, not commas"),
+    "frame of another joint": ("joints", "frame>p</", "frame>far</", r"of that name is, but not there"),
+    "coupler without function": ("forces", COUPLER, "<lost>", r"has no <coupled_coordinates_function>"),
+    "negative stiffness": ("forces", "stiffness>900<", "stiffness>-900<", r"must be at least 0, got -900"),
+    "negative spring": ("forces", "<stiffness>700<", "<stiffness>-700<", r"must be at least 0, got -700"),
+    "exponent": ("arm26", "<KshapePassive>4", "<KshapePassive>4000", r"KshapePassive at most 50, got 4000"),
+}
+"""Text of a model, and what else than it said was read from another one before: what OpenSim 4.6 refuses, or
+reads as no motion."""
+
+
+@pytest.mark.parametrize("case", MISREAD)
+def test_what_could_only_be_guessed_is_refused(case, tmp_path):
+    name, old, new, message = MISREAD[case]
+    path = changed(tmp_path, MODELS / f"{name}.osim", old, new)
+    if old == COUPLER:
+        path.write_text(path.read_text().replace("</coupled_coordinates_function>", "</lost>", 1))
+    if "Lost" in new:
+        text = path.read_text()
+        begin = text.index("<Lost")
+        path.write_text(text[:begin] + text[text.index("</Coordinate>", begin) + 13 :])
+    with pytest.raises((ValueError, NotImplementedError), match=message) as caught:
+        read_model(path)
+    assert re.match(rf"{re.escape(str(path))}:\d+: <\w+", str(caught.value))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("<orientation>0.2 -0.3 0.4<", "<orientation>0 0 -90<", "has the orientation 0 0 -90 in radians"),
+        ("<default_value>0.3</default_value>", "<default_value>30</default_value>", "has the default 30 in"),
+        ("<range>-1.2 1.1</range>", "<range>-120 10</range>", "has the range -120 10 in radians, as OpenSim"),
+        ("<range>-1.2 1.1</range>", "<range>-10 10</range>", ""),
+        ("<range>-1.2 1.1</range>", "<range>-99999.9 99999.9</range>", ""),
+    ],
+)
+def test_angles_that_look_like_degrees_are_said(old, new, said, tmp_path, caplog):
+    text = JOINTS.read_text()
+    begin = text.index('name="loc"') if "orient" in old else text.index('name="gim_b"')
+    (tmp_path / "turned.osim").write_text(text[:begin] + text[begin:].replace(old, new, 1))
+    read_model(tmp_path / "turned.osim")
+    assert len(caplog.records) == bool(said)
+    assert said in caplog.text
+
+
+def test_a_function_needs_no_name(tmp_path):
+    named, unnamed = (
+        read_model(changed(tmp_path, JOINTS, FUNCTION, text)).joints["cus"].moves
+        for text in (FUNCTION, FUNCTION.replace(' name="function"', ""))
+    )
+    assert [move.function for move in unnamed] == [move.function for move in named]
+
+
+@pytest.mark.parametrize("form", ['<{0} name="{1}">{2}</{0}>', "<{1}><{0}>{2}</{0}></{1}>"])
+@pytest.mark.parametrize("function", ["SimmSpline", "Wave"])
+def test_curves_of_muscles_are_read_or_refused(function, form, tmp_path):
+    curve = form.format(function, "active_force_length_curve", "<x>0 1 2</x><y>0 1 0</y>")
+    text = ARM.read_text().replace("Thelen2003Muscle", "Schutte1993Muscle_Deprecated")
+    path = tmp_path / "spline.osim"
+    path.write_text(text.replace("<max_isometric_force>", f"{curve}<max_isometric_force>", 1))
+    if function == "Wave":
+        with pytest.raises(NotImplementedError, match="is no supported function"):
+            read_model(path)
+        return
+    assert read_model(path).muscles["TRIlong"].curves == {
+        "active_force_length_curve": SimmSpline((0.0, 1.0, 2.0), (0.0, 1.0, 0.0))
+    }
+
+
+def test_of_two_properties_of_a_name_the_first_counts(tmp_path):
+    once = "<tendon_slack_length>0.14299999999999999"
+    both = "".join(
+        f"<ignore_tendon_compliance>{word}</ignore_tendon_compliance>" for word in ("true", "false")
+    )
+    muscle = read_model(changed(tmp_path, ARM, once, both + once)).muscles["TRIlong"]
+    assert muscle.ignore_tendon_compliance
+
+
 CYCLIC = (
     "<socket_parent>..</socket_parent>\n              <translation>0.02",
     "<socket_parent>farther</socket_parent>\n              <translation>0.02",

@@ -86,6 +86,43 @@ def test_a_model_without_controllers_that_act_is_one_sentence(controllers, said,
         prescribed(arm_with(tmp_path, controllers), SPEC)
 
 
+CONSTANT = '<Constant name="{}"><value>{}</value></Constant>'
+LISTED = """<PrescribedController name="one"><actuator_list>{}</actuator_list><FunctionSet
+name="ControlFunctions"><objects>{}</objects></FunctionSet></PrescribedController>"""
+EVERY = ("TRIlong", "TRIlat", "TRImed", "BIClong", "BICshort", "BRA")
+
+
+@pytest.mark.parametrize(
+    ("names", "functions", "said"),
+    [
+        ("BRA TRIlat", (("TRIlat", 0.3), ("BRA", 0.2)), "'TRIlat'> has the place of 'BRA'; put functions in"),
+        ("BRA TRIlat", (("BRA", 0.3),), "needs a function for each of its 2 actuators, got 1"),
+        ("BRAx", (("BRAx", 0.3),), "drives the actuator 'BRAx', which the model does not have"),
+    ],
+)
+def test_functions_that_are_of_no_actuator_are_refused(names, functions, said, tmp_path):
+    """OpenSim 4.6 takes those of other places as they stand, and refuses the others."""
+    text = LISTED.format(names, "".join(CONSTANT.format(*one) for one in functions))
+    with pytest.raises(ValueError, match=said):
+        prescribed(arm_with(tmp_path, text), SPEC)
+
+
+def test_functions_of_unknown_classes_are_refused(tmp_path):
+    with pytest.raises(NotImplementedError, match="<Wave name='BRA'> is no supported function"):
+        prescribed(arm_with(tmp_path, LISTED.format("BRA", '<Wave name="BRA"/>')), SPEC)
+
+
+def test_functions_go_by_their_places(tmp_path):
+    """In one case they are all actuators'; else they have names of nothing."""
+    levels = [0.1 * (number + 1) for number in range(len(EVERY))]
+    named = "".join(CONSTANT.format(f"/forceset/{name}", x) for name, x in zip(EVERY, levels, strict=True))
+    found = prescribed(arm_with(tmp_path, LISTED.format("ALL", named)), SPEC)
+    assert found.values[0].tolist() == [levels[EVERY.index(name)] for name in found.labels]
+    other = LISTED.format("BRA BIClong", CONSTANT.format("a", 0.3) + CONSTANT.format("BIClong", 0.2))
+    found = prescribed(arm_with(tmp_path, other), SPEC)
+    assert [found.values[0, found.labels.index(name)] for name in ("BRA", "BIClong")] == [0.3, 0.2]
+
+
 def test_controllers_beside_those_that_act_are_named(tmp_path, caplog):
     found = prescribed(arm_with(tmp_path, STEADY + REFLEX), SPEC)
     assert (found.values[:, found.labels.index("BRA")] == 0.05).all()

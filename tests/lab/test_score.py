@@ -316,6 +316,33 @@ def test_a_trial_is_read_as_it_was_recorded(trial):
     assert found.curves["ground_force_l"].max() == pytest.approx(800.0 / (mass * GRAVITY), rel=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("<gravity>0 -9.8", "<gravity>0 0 -9.8", "a model whose y is up; gravity of .* is 0 0 -9.8"),
+        ("<gravity>0 -9.8", "<gravity>0 9.8 0", "a model whose y is up"),
+        ("<range>-2.0943950999999998 0.17453293", "<range>-2 2", "must be longer where it flexes"),
+    ],
+)
+def test_a_trial_whose_directions_are_not_known_is_refused(old, new, sentence, trial):
+    text = GAIT.read_text()
+    begin = text.index(old)
+    end = text.index("</", begin)
+    model = trial / "other.osim"
+    model.write_text(text[:begin] + new + text[end:])
+    with pytest.raises(ValueError, match=sentence):
+        read_walk(trial, model)
+
+
+@pytest.mark.parametrize("values", ['{"speed": [1]}', '{"speed": [1, 2, 3]}', '{"speed": ["a", 2]}'])
+def test_a_reference_that_is_none_is_refused_in_a_sentence(values, tmp_path):
+    path = tmp_path / "score.json"
+    head = '{"name": "x", "sources": [], "percent": [0, 100], "curves": {}, "active": {}'
+    path.write_text(f'{head}, "values": {values}}}')
+    with pytest.raises(ValueError, match=r"must be score.json of `myowarp score`"):
+        read_reference(path)
+
+
 def test_the_command_scores_a_trial_and_takes_one_as_reference(trial, run, tmp_path, caplog):
     (trial / "scaled.osim").write_text(GAIT.read_text())
     words = ("--trial", trial, "--reference", trial, "--output", tmp_path / "score")

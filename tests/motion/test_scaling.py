@@ -184,6 +184,16 @@ def test_bad_set_up_files_are_refused(person, change, message):
     assert "\n" not in str(caught.value)
 
 
+def test_a_recording_in_another_unit_is_refused(person):
+    """Its millimetres are called metres."""
+    path = person.with_name("metres.trc")
+    path.write_text(person.read_text().replace("\tmm\t", "\tm\t"))
+    with pytest.raises(
+        ValueError, match=r"'\w+' makes bodies .*e\+03 times as large, which must be 0\.1 to 10"
+    ):
+        scale(DATA / "osim/leg6dof9musc.osim", read_setup(SETUP), path)
+
+
 def test_a_recording_is_needed(person):
     path = person.with_name("setup.xml")
     path.write_text(SETUP.read_text().replace("<marker_file>static.trc</marker_file>", ""))

@@ -203,6 +203,32 @@ def test_kinematics_of_a_set_up_file(leg):
     assert np.abs(there["fitted"][:, knee] - held[:, knee]).max() > 0.01
 
 
+def test_markers_over_milliseconds_are_doubted(leg, caplog):
+    folder, there, names = leg
+    write_trc(folder / "ms.trc", Markers(names, 1e3 * there["time"], there["seen"]))
+    with caplog.at_level(logging.WARNING):
+        kinematics(Bones.read(LEG), TrialSetup(markers=folder / "ms.trc"))
+    assert re.search(r"'.*ms\.trc' lasts [\d.e+]+ s at 0\.\d+ Hz; is its time in ms", caplog.text)
+
+
+@pytest.mark.parametrize(("weight", "refused"), [("1e6", True), ("0", False)])
+def test_a_value_in_degrees_is_refused_where_it_counts(leg, weight, refused):
+    folder, _, names = leg
+    tasks = "".join(f'<IKMarkerTask name="{name}"><weight>1</weight></IKMarkerTask>' for name in names)
+    text = KINEMATICS.format(tasks).replace(
+        "from_file</value_type>", "manual_value</value_type><value>-30</value>"
+    )
+    (folder / "ik.xml").write_text(text.replace("<weight>1e6<", f"<weight>{weight}<"))
+    bones, setup = Bones.read(LEG), read_tool_setup(folder / "ik.xml")
+    if not refused:
+        assert np.isfinite(kinematics(bones, setup).fitted.values).all()
+        return
+    with pytest.raises(
+        ValueError, match="'knee_angle_r' should have the value -30, in radians -1719 degrees; a"
+    ):
+        kinematics(bones, setup)
+
+
 @pytest.mark.parametrize(("tip", "said"), [(0.0, False), (25.0, False), (-70.0, True), (90.0, True)])
 def test_a_model_that_lies_is_named(leg, caplog, tip, said):
     """Markers about another vertical axis fit as well: the root turns with them."""
@@ -221,6 +247,22 @@ def test_a_model_that_lies_is_named(leg, caplog, tip, said):
     for text in texts:
         assert sentence in text
         assert float(re.search(r"by (\d+)", text)[1]) == pytest.approx(least, abs=2.0)
+
+
+@pytest.mark.parametrize(("prefix", "left"), [("walker:", 2), ("", 1)])
+def test_markers_that_are_called_otherwise_are_named(leg, caplog, prefix, left):
+    """Two of them, which then count in no pose; not a recording that only has fewer or more."""
+    folder, there, names = leg
+    called = tuple(prefix + name if number < 2 else name for number, name in enumerate(names))
+    bones, kept = Bones.read(LEG), slice(0 if prefix else 1, None)
+    write_trc(folder / "named.trc", Markers(called[kept], there["time"], there["seen"][:, kept]))
+    with caplog.at_level(logging.WARNING):
+        found = kinematics(bones, TrialSetup(markers=folder / "named.trc"))
+    assert len(found.fitted.names) == len(names) - left
+    said = [text for record in caplog.records if "no marker called" in (text := record.getMessage())]
+    assert len(said) == bool(prefix)
+    for text in said:
+        assert f"no marker called {called[0]}, {called[1]}, and the recording none called {names[0]}" in text
 
 
 @pytest.mark.parametrize(("span", "said"), [

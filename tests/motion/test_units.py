@@ -156,6 +156,22 @@ def test_columns_that_are_called_nearly_like_a_coordinate(tmp_path, arm, monkeyp
         ]
 
 
+@pytest.mark.parametrize(("default", "said"), [(0.0, True), (np.radians(60.0), False)])
+def test_a_locked_coordinate_that_moves_in_the_file_is_named(tmp_path, caplog, default, said):
+    """OpenSim 4.6 finds the same moments of the arm whether its elbow is locked or not."""
+    begin, text = ARM.read_text().split('<Coordinate name="r_elbow_flex">')
+    text = re.sub(r"<default_value>[^<]*", f"<default_value>{float(default)!r}", text, count=1)
+    locked = text.replace("<locked>false", "<locked>true", 1)
+    (tmp_path / "arm.osim").write_text(f'{begin}<Coordinate name="r_elbow_flex">{locked}')
+    path = recording(tmp_path, ["walk", "version=1", "inDegrees=yes"], np.tile([20.0, 60.0], (ROWS, 1)))
+    with caplog.at_level(logging.WARNING):
+        read_motion(path, Bones.read(tmp_path / "arm.osim"))
+    texts = [record.getMessage() for record in caplog.records]
+    assert [text.split(";")[0] for text in texts] == (
+        [f"locked in the model, and not where {str(path)!r} has it: r_elbow_flex"] if said else []
+    )
+
+
 def test_states_of_others_than_coordinates_are_not_named(tmp_path, arm, caplog):
     path = recording(tmp_path, ["walk", "version=1", "inDegrees=yes"], DEGREES)
     path.write_text(path.read_text().replace(NAMES[1], "/forceset/BRA/activation"))

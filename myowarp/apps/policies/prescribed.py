@@ -2,11 +2,12 @@
 
     myowarp rollout --model arm.osim --policy arm.osim
 
-Controls of several controllers add up, but those of an `ActuatorInputController` take the place of what
-came before; an actuator that none drives gets 0. Inputs of an `InputController` are columns of a
-`TableSource`; without inputs it does nothing, as in OpenSim. A file of controls is a table over time, or a
-set of `ControlLinear`. Between two rows a control changes linearly. Controllers of other classes are named
-in a line; a reflex is a condition, which that line gives.
+Functions belong to actuators by their places, as in OpenSim. Controls of several controllers add up, but
+those of an `ActuatorInputController` take the place of what came before; an actuator that none drives gets
+0. Inputs of an `InputController` are columns of a `TableSource`; without inputs it does nothing, as in
+OpenSim. A file of controls is a table over time, or a set of `ControlLinear`. Between two rows a control
+changes linearly. Controllers of other classes are named in a line; a reflex is a condition, which that line
+gives.
 
 Source: OpenSim 4.6, the classes of `CONTROLLERS`.
 """
@@ -19,17 +20,20 @@ import numpy as np
 
 from myowarp.definitions.task import TaskSpec
 from myowarp.laws.expressions import values_of
+from myowarp.motion.setup_words import file_of
 from myowarp.motion.storage import SUFFIXES, Storage, read_storage
 from myowarp.osim.document.model import Loss
 from myowarp.osim.document.read.element import Element, parse
 from myowarp.osim.document.read.expressions import expression_of
-from myowarp.osim.document.read.functions import READERS, read_function
+from myowarp.osim.document.read.functions import read_function
 from myowarp.osim.document.read.model import checked, read_model
 from myowarp.osim.document.read.muscles import is_on
 
 logger = logging.getLogger("myowarp")
 
 REFLEX = "ToyReflexController"
+DRIVEN = ("Muscle", "Muscle_Deprecated", "Actuator", "ClutchedPathSpring", "ControllableSpring")
+"""Ends of the names of OpenSim's classes of actuators."""
 OVERWRITES = "ActuatorInputController"
 
 Controls = dict[str, np.ndarray]
@@ -45,6 +49,7 @@ def prescribed(path: Path, spec: TaskSpec) -> Storage:
 
     Raises:
         ValueError: It has no such controller, or one that says something impossible.
+        NotImplementedError: A controller has a function of a class that is not supported.
         OSError: A file cannot be read.
     """
     root, _ = parse(path)
@@ -82,24 +87,39 @@ def _reflexes(root: Element) -> str:
 
 
 def _actuators(element: Element) -> list[str]:
-    """Return the names of the actuators that a controller drives."""
+    """Return the names of the actuators that a controller drives.
+
+    Raises:
+        ValueError: The model has not one of them.
+    """
     paths = element.string("socket_actuators", "actuator_list").split()
-    return [path.rpartition("/")[2] for path in paths]
+    known = [one.name for one in _root(element).walk() if one.tag.endswith(DRIVEN)]
+    names = known if paths == ["ALL"] else [path.rpartition("/")[2] for path in paths]
+    if unknown := [name for name in names if name not in known]:
+        raise element.error(f"drives the actuator {unknown[0]!r}, which the model does not have")
+    return names
+
+
+def _root(element: Element) -> Element:
+    """Return the root of its document."""
+    return element if element.parent is None else _root(element.parent)
 
 
 def _of_functions(element: Element, time: np.ndarray) -> Controls:
     """Return the controls of a `PrescribedController`."""
     names, found = _actuators(element), {}
     functions = [one for place in element.children if "ControlFunctions" in (place.tag, place.name)
-                 for one in (place.own("objects") or place).children if one.tag in READERS]  # fmt: skip
-    for number, function in enumerate(functions):
-        name = function.name.rpartition("/")[2]
-        if name not in names:  # without a name its place counts
-            if number >= len(names):
-                raise function.error(f"is of the actuator {name!r}, which the controller does not drive")
-            name = names[number]
+                 for one in (place.own("objects") or place).children if one.tag != "groups"]  # fmt: skip
+    if functions and len(functions) != len(names):
+        raise element.error(f"needs a function for each of its {len(names)} actuators, got {len(functions)}")
+    for name, function in zip(names, functions, strict=False):
+        if (called := function.name.rpartition("/")[2]) in names and called != name:
+            raise function.error(
+                f"has the place of {name!r}; put functions in the order of the actuators, as OpenSim does"
+            )
+        read = read_function(function)
         try:
-            program = expression_of(read_function(function))
+            program = expression_of(read)
         except NotImplementedError as error:
             raise function.error(str(error)) from None
         found[name] = values_of([program], time[:, None])[:, 0]
@@ -112,7 +132,9 @@ def _of_functions(element: Element, time: np.ndarray) -> Controls:
 
 def _of_file(element: Element, time: np.ndarray) -> Controls:
     """Return the controls of a `ControlSetController`."""
-    file = element.source.parent / element.string("controls_file")
+    file = file_of(element, "controls_file")
+    if file is None:
+        raise element.error("names no <controls_file>")
     if file.suffix.lower() in SUFFIXES:
         return _table(element, "controls_file", time)
     sets = [one for one in parse(file)[0].walk() if one.tag in ("ControlLinear", "ControlConstant")]
@@ -171,10 +193,7 @@ def _inputs(element: Element, time: np.ndarray) -> list[tuple[str, np.ndarray]]:
     Raises:
         ValueError: An input is no column of a `TableSource`.
     """
-    root = element
-    while root.parent is not None:
-        root = root.parent
-    sources = {one.name: one for one in root.walk() if one.tag.startswith("TableSource")}
+    sources = {one.name: one for one in _root(element).walk() if one.tag.startswith("TableSource")}
     found = []
     for path in element.string("input_controls").split():
         place, _, alias = path.removesuffix(")").partition("(")
@@ -192,10 +211,10 @@ def _inputs(element: Element, time: np.ndarray) -> list[tuple[str, np.ndarray]]:
 
 def _table(element: Element, tag: str, time: np.ndarray, named: bool = True) -> Controls:
     """Return the columns of a file that a property names, over time; labels become actuators' names."""
-    file = element.string(tag)
-    if not file or file == "Unassigned":
+    file = file_of(element, tag)
+    if file is None:
         return {}
-    table = read_storage(element.source.parent / file)
+    table = read_storage(file)
     names = [one.removesuffix(".excitation").rpartition("/")[2] if named else one for one in table.labels]
     return {
         name: np.interp(time, table.time, column) for name, column in zip(names, table.values.T, strict=True)

@@ -159,7 +159,7 @@ def read_reference(path: Path = SHIPPED) -> Reference:
             {name: (float(mean), float(spread)) for name, (mean, spread) in found["values"].items()},
             {name: within(spans) for name, spans in found["active"].items()},
         )
-    except (UnicodeDecodeError, json.JSONDecodeError, AttributeError, KeyError, TypeError) as error:
+    except (ValueError, AttributeError, KeyError, TypeError) as error:  # also of JSON, and of text
         raise ValueError(
             f"reference {str(path)!r} must be score.json of `myowarp score`, or a trial's folder"
         ) from error

@@ -13,9 +13,9 @@ def read_smooth_contact(element: Element, scope: Scope) -> ContactForce:
     """Return a `SmoothSphereHalfSpaceForce`."""
     names = tuple(_last(socket(element, name)) for name in ("half_space", "sphere"))
     smoothing = (
-        _least_zero(element, "constant_contact_force", 1e-5),
-        _least_zero(element, "hertz_smoothing", 300.0),
-        _least_zero(element, "hunt_crossley_smoothing", 50.0),
+        element.number("constant_contact_force", default=1e-5, least=0.0),
+        element.number("hertz_smoothing", default=300.0, least=0.0),
+        element.number("hunt_crossley_smoothing", default=50.0, least=0.0),
     )
     parts = (_parameters(element, names, 1.0),)
     return ContactForce(element.name, element.tag, parts, _transition(element), smoothing)
@@ -34,8 +34,10 @@ def read_hunt_crossley(element: Element, scope: Scope) -> ContactForce:
 def _parameters(element: Element, geometries: tuple[str, ...], stiffness: float) -> ContactParameters:
     """Return the material of some geometries; of the stiffness where the file states none [N/m^2]."""
     numbers = ("dissipation", "static_friction", "dynamic_friction", "viscous_friction")
-    stiff = _least_zero(element, "stiffness", stiffness)
-    return ContactParameters(geometries, stiff, *(_least_zero(element, name, 0.0) for name in numbers))
+    stiff = element.number("stiffness", default=stiffness, least=0.0)
+    return ContactParameters(
+        geometries, stiff, *(element.number(name, default=0.0, least=0.0) for name in numbers)
+    )
 
 
 def _transition(element: Element) -> float:
@@ -43,14 +45,6 @@ def _transition(element: Element) -> float:
     found = element.number("transition_velocity", default=TRANSITION)
     if found <= 0:
         raise element.error(f"must have a transition_velocity above 0, got {found:g}")
-    return found
-
-
-def _least_zero(element: Element, name: str, default: float) -> float:
-    """Return a number that is not below 0."""
-    found = element.number(name, default=default)
-    if found < 0:
-        raise element.error(f"must have a {name} of at least 0, got {found:g}")
     return found
 
 

@@ -25,6 +25,7 @@ MAX_DEPTH = 64  # models need about 15
 MAX_ELEMENTS = 2_000_000
 MAX_NUMBER = 1e15  # of any unit: beyond it arithmetic overflows sooner or later
 LONG_WORD = re.compile(r"\S{80,}")
+DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
 BARE_AMPERSAND = re.compile(r"&(?!(?:amp|lt|gt|quot|apos|#\d{1,7}|#x[0-9A-Fa-f]{1,6});)")
 
 
@@ -120,7 +121,9 @@ class Element:
         return values
 
     def parsed(self, finite: bool) -> np.ndarray:
-        """Return the text of this element as numbers."""
+        """Return the text of this element as numbers; commas may stand between them, not for their points."""
+        if any(DECIMAL_COMMA.fullmatch(word) for word in self.text.split()):
+            raise self.error(f"must have numbers with points, not commas, got {self.text.strip()[:60]!r}")
         words = self.text.replace(",", " ").strip(" \t\r\n()~[]").split()
         try:
             values = np.array([number_of(word) for word in words])
@@ -130,8 +133,10 @@ class Element:
             raise self.error(f"must be finite, below {MAX_NUMBER:g} in size, got {self.text.strip()[:60]!r}")
         return values
 
-    def number(self, *tags: str, default: float | None = None, finite: bool = True) -> float:
-        """Return the number of a child; `finite=False` lets infinities pass, never NaN."""
+    def number(
+        self, *tags: str, default: float | None = None, finite: bool = True, least: float = -math.inf
+    ) -> float:
+        """Return the number of a child, at least `least`; `finite=False` lets infinities pass, never NaN."""
         found = self.find(*tags)
         if default is not None and (found is None or not found.text.strip()):
             return default
@@ -139,6 +144,8 @@ class Element:
         values = found.parsed(finite)
         if len(values) != 1 or math.isnan(values[0]):
             raise found.error(f"must be one number, got {found.text.strip()[:60]!r}")
+        if values[0] < least:
+            raise found.error(f"must be at least {least:g}, got {values[0]:g}")
         return float(values[0])
 
     def flag(self, *tags: str, default: bool) -> bool:

@@ -21,7 +21,7 @@ from myowarp.osim.document.elements import (
     PrescribedForce,
     Shape,
 )
-from myowarp.osim.document.functions import IDENTITY, Constant, Function, Linear, Multiplier
+from myowarp.osim.document.functions import Constant, Function, Linear, Multiplier
 from myowarp.osim.document.model import GROUND, Constraint, Coupler, Marker
 from myowarp.osim.document.read.element import Element
 from myowarp.osim.document.read.expressions import expression_in, expression_of
@@ -236,7 +236,9 @@ def read_coupler(element: Element, scope: Scope) -> Coupler:
         NotImplementedError: It has several independent coordinates.
         ValueError: It has none, or names one that the model does not have.
     """
-    function = function_in(element, "coupled_coordinates_function") or IDENTITY
+    function = function_in(element, "coupled_coordinates_function")
+    if function is None:
+        raise element.error("has no <coupled_coordinates_function>")
     independent = element.string("independent_coordinate_names").strip("()").split()
     dependent = element.string("dependent_coordinate_name")
     if len(independent) > 1:

@@ -10,6 +10,7 @@ import numpy as np
 from myowarp.osim.document.elements import Pose
 from myowarp.osim.document.model import GROUND
 from myowarp.osim.document.read.element import Element
+from myowarp.process import warn_once
 
 MAX_CHAIN = 100  # offset frames on offset frames
 
@@ -19,6 +20,9 @@ DEFINED = "StationDefinedFrame"
 FRAMES = ("Body", "Ground", "PhysicalOffsetFrame", "OffsetFrame", DEFINED)
 
 STATIONS = ("Station", "Marker")
+
+TURN = 2.0 * np.pi * (1.0 + 1e-5)
+"""[rad] beyond which no angle needs to be."""
 
 SMALLEST = 1e-9
 """[m] from the line through two points that a third one may be."""
@@ -38,10 +42,16 @@ def euler_xyz(angles: np.ndarray) -> np.ndarray:
 def pose_of(element: Element, translation: tuple[str, ...], orientation: tuple[str, ...]) -> Pose:
     """Return the pose that two properties of an element describe; both default to zero."""
     zero = (0.0, 0.0, 0.0)
-    return Pose(
-        element.numbers(*translation, default=zero, count=3),
-        euler_xyz(element.numbers(*orientation, default=zero, count=3)),
-    )
+    angles = element.numbers(*orientation, default=zero, count=3)
+    if np.abs(angles).max() > TURN:
+        say_radians(element, "the orientation", angles)
+    return Pose(element.numbers(*translation, default=zero, count=3), euler_xyz(angles))
+
+
+def say_radians(element: Element, what: str, angles: Iterable[float]) -> None:
+    """Say that angles which look like degrees are read in radians, as OpenSim reads them."""
+    numbers = " ".join(f"{angle:g}" for angle in angles)
+    warn_once(str(element.error(f"has {what} {numbers} in radians, as OpenSim reads it; is it in degrees?")))
 
 
 def socket(element: Element, *names: str) -> str:
@@ -190,12 +200,14 @@ class Frames:
         near = [frame for frame in found if frame.tag in ("Body", "Ground")] or [
             frame for frame in found if frame.parent is not None and frame.parent.parent is owner
         ]
-        if len(found) == 1 or len(near) == 1:
-            return near[0] if near else found[0]
+        if len(near) == 1:
+            return near[0]
         if name == GROUND:
             return None
+        if near:
+            raise owner.error(f"is attached to {target!r}, and {len(near)} frames have that name")
         if found:
-            raise owner.error(f"is attached to {target!r}, and {len(found)} frames have that name")
+            raise owner.error(f"is attached to {target!r}; a frame of that name is, but not there")
         raise owner.error(f"is attached to {target!r}, but the model has no such body or frame")
 
     def attached(self, element: Element, *sockets: str) -> tuple[str, Pose]:

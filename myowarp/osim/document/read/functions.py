@@ -39,13 +39,18 @@ def read_function(element: Element) -> Function:
 def function_in(owner: Element, *tags: str) -> Function | None:
     """Return the function that a property holds, None if the property is missing or empty.
 
-    OpenSim writes `<tag><SimmSpline>...` or, for some classes, `<SimmSpline name="tag">...`.
+    OpenSim writes `<tag><SimmSpline>...` or, for some classes, `<SimmSpline name="tag">...`; a tag "" is a
+    function without a name.
+
+    Raises:
+        NotImplementedError: Its class is unknown.
+        ValueError: Its numbers make no function.
     """
     for place in (owner, owner.fallback):
         for child in () if place is None else place.children:
             if child.tag in tags and child.children:
                 return read_function(child.children[0])
-            if child.name in tags and child.tag in READERS:
+            if child.name in tags and (child.name or child.tag in READERS):
                 return read_function(child)
     return None
 

@@ -10,7 +10,7 @@ from myowarp.osim.document.functions import IDENTITY, Constant, Multiplier, affi
 from myowarp.osim.document.model import GROUND, Coordinate, Joint, Move, Note
 from myowarp.osim.document.read.element import Element
 from myowarp.osim.document.read.frames import IDENTITY as IDENTITY_POSE
-from myowarp.osim.document.read.frames import Frames, pose_of
+from myowarp.osim.document.read.frames import TURN, Frames, pose_of, say_radians
 from myowarp.osim.document.read.functions import function_in
 
 X, Y, Z = np.eye(3)
@@ -55,6 +55,9 @@ ELLIPSOIDS = {
 
 JOINTS = (*SIMPLE, "CustomJoint", *ELLIPSOIDS, "ConstantCurvatureJoint")
 
+LIKE_DEGREES = 10.0, 720.0
+"""Ends of a range that no angle in radians has: beyond OpenSim's default, and below those of no range."""
+
 SAME_RADIUS = 1e-5
 """[m]: radii of an ellipsoid that differ by less are the same; their mean is taken."""
 
@@ -98,7 +101,7 @@ def read_joint(
     names = [item.name or f"{element.name}_coord_{index}" for index, item in enumerate(coordinates)]
     if element.tag in (*SIMPLE, *ELLIPSOIDS):
         count = (SIMPLE.get(element.tag) or ELLIPSOIDS[element.tag])[0]
-        if len(names) > count:
+        if names and len(names) != count:
             raise element.error(f"must have {count} coordinates, got {len(names)}")
         names += [f"{element.name}_coord_{index}" for index in range(len(names), count)]
     if element.tag in SIMPLE:
@@ -165,11 +168,10 @@ def _ellipsoid_moves(element: Element, names: list[str], notes: list[Note]) -> l
 def _custom_moves(element: Element, names: list[str]) -> list[Move]:
     """Return slides, then hinges, of a `CustomJoint`."""
     transform = element.find("SpatialTransform")
-    axes = (
-        {}
-        if transform is None
-        else {axis.name: axis for axis in transform.children if axis.tag == "TransformAxis"}
-    )
+    listed = [] if transform is None else [one for one in transform.children if one.tag == "TransformAxis"]
+    axes = {axis.name: axis for axis in listed}
+    if len(axes) < len(listed):
+        raise element.error("has two axes of one name in its <SpatialTransform>")
     if unknown := set(axes) - {*ROTATIONS, *TRANSLATIONS}:
         raise element.error(
             f"has an axis {sorted(unknown)[0]!r}; axes are {', '.join((*ROTATIONS, *TRANSLATIONS))}"
@@ -203,16 +205,19 @@ def _custom_move(element: Element, rotates: bool, names: list[str]) -> Move | No
     coordinate = arguments[0] if arguments else None
     if coordinate is not None and coordinate not in names:
         raise element.error(f"depends on coordinate {coordinate!r}; its joint has: {', '.join(names)}")
-    function = function_in(element, "function")
+    function = function_in(element, "function", "")
     if function is None:
-        function = IDENTITY if coordinate is not None else Constant(0.0)
+        # OpenSim lets the coordinate move nothing then.
+        if coordinate is not None:
+            raise element.error(f"has no <function> of its coordinate {coordinate!r}")
+        function = Constant(0.0)
     line = affine(function)
+    if coordinate is None and (line is None or line[0] != 0):
+        raise element.error("has a function that is no constant, and names no coordinate in <coordinates>")
     if line is not None and line[0] == 0:
         if line[1] == 0:
             return None
         coordinate, function = None, Constant(line[1])
-    if coordinate is None:
-        function = Constant(float(function.value(0.0)))
     return Move("hinge" if rotates else "slide", _axis(element), function, coordinate)
 
 
@@ -247,6 +252,10 @@ def read_coordinate(element: Element | None, name: str, joint: Joint) -> tuple[C
     if low > high:
         raise element.error(f"must have an ascending range, got {low:g} {high:g}")
     default, notes = element.number("default_value", default=0.0), []
+    if rotational and abs(default) > TURN:
+        say_radians(element, "the default", (default,))
+    if rotational and LIKE_DEGREES[0] < max(abs(low), abs(high)) <= LIKE_DEGREES[1]:
+        say_radians(element, "the range", (low, high))
     prescribed = function_in(element, "prescribed_function")
     if prescribed is not None and element.flag("prescribed", default=False):
         default, locked = float(prescribed.value(0.0)), True

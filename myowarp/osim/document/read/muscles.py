@@ -39,6 +39,9 @@ ABOVE = {
 }
 """Lower bounds of further parameters, in the classes that have them."""
 
+STEEPEST = 50.0
+"""KshapePassive, of which exponentials are taken, at most."""
+
 OTHERS = {name for defaults in DEFAULTS.values() for name in defaults}
 """Parameters that some class has always; optional ones of a class are not among them."""
 
@@ -73,12 +76,12 @@ def _leaves(element: Element) -> tuple[dict[str, float], dict[str, Function]]:
     """Return the numbers that an element states, and its functions, by property."""
     numbers: dict[str, float] = {}
     curves: dict[str, Function] = {}
-    for child in element.children:
+    for child in reversed(element.children):  # of two of a name the first one counts, as in OpenSim
         if child.tag in STRUCTURE:
             continue
-        if child.tag in READERS:
+        if child.tag in READERS or child.name.endswith("_curve"):
             curves[child.name] = read_function(child)
-        elif child.children and child.children[0].tag in READERS:
+        elif child.children and (child.children[0].tag in READERS or child.tag.endswith("_curve")):
             curves[child.tag] = read_function(child.children[0])
         elif child.children:
             inner, _ = _leaves(child)
@@ -140,6 +143,8 @@ def read_muscle(element: Element, scope: Scope) -> Muscle:
     for name, low in ABOVE.items():
         if values.get(name, math.inf) <= low:
             raise element.error(f"must have {name} above {low:g}, got {values[name]:g}")
+    if values.get("KshapePassive", 0.0) > STEEPEST:
+        raise element.error(f"must have KshapePassive at most {STEEPEST:g}, got {values['KshapePassive']:g}")
     limits = control_range(element, values["min_control"], values["max_control"])
     return Muscle(
         name=element.name,
@@ -191,11 +196,14 @@ def read_ligament(element: Element, scope: Scope) -> Ligament:
         curve = function_in(element, "force_length_curve") or FORCE_LENGTH
         force = Multiplier(curve, element.number("pcsa_force", default=0.0))
     elif element.tag == "Blankevoort1991Ligament":
-        stiffness = element.number("linear_stiffness", default=1.0)
-        force = ToeThenLine(stiffness, element.number("transition_strain", default=0.06))
-        damping = element.number("damping_coefficient", default=0.003) / length
+        stiffness = element.number("linear_stiffness", default=1.0, least=0.0)
+        force = ToeThenLine(stiffness, element.number("transition_strain", default=0.06, least=0.0))
+        damping = element.number("damping_coefficient", default=0.003, least=0.0) / length
     else:
-        stiffness = element.number("stiffness") * length
-        force, dissipation = Linear(stiffness, -stiffness), element.number("dissipation", default=0.0)
+        stiffness = element.number("stiffness", least=0.0) * length
+        force, dissipation = (
+            Linear(stiffness, -stiffness),
+            element.number("dissipation", default=0.0, least=0.0),
+        )
     path = read_path(element, scope)
     return Ligament(element.name, element.tag, path, length, force, dissipation, damping)
