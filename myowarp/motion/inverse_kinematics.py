@@ -597,9 +597,10 @@ def targets_of(
             raise ValueError(f"coordinate {name!r} unknown; available: {', '.join(model.coordinates)}")
     for k, name in enumerate(names):
         wanted[:, k] = value = values.get(name, model.coordinates[name].default)
-        if pull[k] and model.coordinates[name].rotational and np.ndim(value) == 0 and abs(value) > TURN:
+        one = float(value) if isinstance(value, (int, float)) else 0.0
+        if pull[k] and model.coordinates[name].rotational and abs(one) > TURN:
             raise ValueError(
-                f"coordinate {name!r} should have the value {value:g}, in radians {np.degrees(value):.4g} "
+                f"coordinate {name!r} should have the value {one:g}, in radians {np.degrees(one):.4g} "
                 "degrees; a value of an angle is in radians"
             )
     bounds = [
