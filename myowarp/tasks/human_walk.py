@@ -85,7 +85,7 @@ class HumanWalkTask(WalkTask):
         return f"on the left foot at 1.25 m/s, all muscles activated to {START_ACTIVATION:g}"
 
     def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
-        """Those of `walk` without the phase of its cycle."""
+        """Return the blocks of `walk` without the phase of its cycle."""
         blocks = super().columns(nq, nv, num_muscles)
         return tuple(block for block in blocks if block.name != "phase_var")
 
