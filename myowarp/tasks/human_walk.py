@@ -45,7 +45,6 @@ class HumanWalkProgram(WalkProgram):
     """A walk for little metabolic power, bound to a scene.
 
     Attributes:
-        bhargava2004: Metabolic rates of the muscles [W], shape (num_worlds, num_muscles).
         per_kg: 1 / mass of the body [1/kg].
     """
 
@@ -57,8 +56,12 @@ class HumanWalkProgram(WalkProgram):
         """
         super().__init__(spec, scene)
         self._metabolics = known_metabolics(scene, "bhargava2004")
-        self.bhargava2004 = self._metabolics.rates.bhargava2004
         self.per_kg = 1.0 / self._metabolics.body_mass
+
+    @property
+    def bhargava2004(self) -> wp.array:
+        """Metabolic rates of the muscles [W], shape (num_worlds, num_muscles)."""
+        return self._metabolics.rates.bhargava2004
 
     def bring_muscles(self) -> None:
         super().bring_muscles()
