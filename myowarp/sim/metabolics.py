@@ -141,6 +141,20 @@ class Metabolics:
         )
 
 
+def known_metabolics(scene: Scene, law: str) -> Metabolics:
+    """Return the rates of a scene whose muscles tell what they depend on.
+
+    Raises:
+        ValueError: The muscle model does not tell what its fibers do.
+    """
+    if not scene.muscles.tells_fibers:
+        raise ValueError(
+            f"{law} needs a muscle model that tells what its fibers do (`read_fibers`), got "
+            f"{type(scene.muscles).__name__}"
+        )
+    return Metabolics(scene)
+
+
 def moved_mass(model: mujoco.MjModel) -> float:
     """Return the mass of the trees of bodies that muscles' paths touch, or else of all [kg]."""
     sites = model.wrap_objid[model.wrap_type == mujoco.mjtWrap.mjWRAP_SITE]

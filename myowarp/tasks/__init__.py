@@ -5,6 +5,7 @@ from myowarp.tasks import (  # noqa: F401  (they register)
     die_reorient_ids,
     directional,
     ground,
+    human_walk,
     key_turn,
     object_hold,
     pen_twirl,

@@ -9,7 +9,7 @@ import warp as wp
 
 from myowarp.definitions.scene import Scene
 from myowarp.engine.patch import engine_kernels_alone
-from myowarp.sim.metabolics import LAWS, Metabolics
+from myowarp.sim.metabolics import LAWS, known_metabolics
 from myowarp.sim.present import present_muscles
 
 
@@ -107,12 +107,8 @@ class Present:
             SITES: _flat(self.position),
         }
         self._compute_muscles = present_muscles(scene)
-        self._metabolics = Metabolics(scene) if self.names.intersection(LAWS) else None
-        if self._metabolics is not None and not scene.muscles.tells_fibers:
-            raise ValueError(
-                f"{min(self.names.intersection(LAWS))} needs a muscle model that tells what its fibers do "
-                f"(`read_fibers`), got {type(scene.muscles).__name__}"
-            )
+        laws = self.names.intersection(LAWS)
+        self._metabolics = known_metabolics(scene, min(laws)) if laws else None
         if self._metabolics is not None:
             self.arrays |= {name: getattr(self._metabolics.rates, name) for name in LAWS}
 

@@ -21,20 +21,24 @@ class MuscleProgram(Program):
     def __init__(self, spec: TaskSpec, scene: Scene) -> None:
         """Prepare the launches."""
         super().__init__(spec, scene)
-        self._bring_muscles = present_muscles(scene, self._bring_paths)
+        self._present_muscles = present_muscles(scene, self._bring_paths)
         self._is_present = False
 
     def score(self, step_count: wp.array, terms: wp.array, solved: wp.array, failed: wp.array) -> None:
-        self._bring_muscles()
+        self.bring_muscles()
         self._is_present = True
         super().score(step_count, terms, solved, failed)
 
     def observe(self, mask: wp.array, obs: wp.array) -> None:
         """Observe; muscles and bodies of the scored state are those that `score` has found."""
         if not self._is_present:
-            self._bring_muscles()
+            self.bring_muscles()
         self._is_present = False
         super().observe(mask, obs)
+
+    def bring_muscles(self) -> None:
+        """Launch what brings muscles, and what follows from them, to the present state."""
+        self._present_muscles()
 
     def _bring_paths(self) -> None:
         (self.bring_paths or partial(present_paths, self.scene))()

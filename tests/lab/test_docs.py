@@ -84,6 +84,7 @@ SMALL = {
         **{"--num-worlds": "8", "--copies": "4", "--rollout-steps": "8", "--samples": "64"},
         **{"--gradient-steps": "2", "--selections": "0"},
     },
+    "gait": {"--population": "4", "--generations": "1", "--horizon": "5"},
     "eval": {"--episodes": "2"},
     "score": {"--num-worlds": "1"},
     "adapt": {"--episodes": "4"},

@@ -75,3 +75,48 @@ def test_a_search_begins_with_a_gait(tmp_path, quick):
     second = Search(SHORT, population=6, begin=first)
     assert unscaled(second.middle) == pytest.approx(first.values)
     assert json.loads(json.dumps(second.plain()))["middle"].keys() == SCALES.keys()
+
+
+COMMAND = ("gait", TASK, "--device", "cpu", "--horizon", "8", "--population", "4", "--output")
+
+
+def test_the_command_goes_on_with_a_broken_search(tmp_path, run):
+    pytest.importorskip("cma")
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    for folder, generations in ((whole, 3), (broken, 1), (broken, 3)):
+        status, _, err = run(*COMMAND, folder, "--physics", "fast", "--generations", generations)
+        assert status == 0, err
+        assert f"Saved {folder / study.GAIT}, cost" in err
+    assert read_gait(broken / study.GAIT) == read_gait(whole / study.GAIT)
+    for name in ("solutions", "costs"):
+        found = [np.load(folder / study.SEARCH)[name] for folder in (whole, broken)]
+        assert np.array_equal(*found)
+    assert np.ptp(found[0]) > 0.0
+    begin = tmp_path / "on"
+    run(*COMMAND, begin, "--begin", whole / study.GAIT, "--generations", "1", "--physics", "fast")
+    recorded = json.loads((begin / study.SETTINGS).read_text())
+    zero, one = np.array(list(SCALES.values())).T
+    middle = zero + one * np.array(list(recorded["middle"].values()))
+    assert middle == pytest.approx(read_gait(whole / study.GAIT).values)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--speed", "0"], "--speed must be positive and finite, got 0"),
+        (["--spread", "inf"], "--spread must be positive and finite, got inf"),
+        (["--population", "3"], "--population must be at least 4, got 3"),
+        (["--generations", "0"], "--generations must be at least 1, got 0"),
+        (["--starts", "0"], "--starts must be at least 1, got 0"),
+        (["--begin", "none.json"], "none.json"),
+        (["--output", "gait.txt/out"], "gait.txt"),
+    ],
+)
+def test_wrong_settings_are_said_in_a_sentence(tmp_path, monkeypatch, run, words, message):
+    (tmp_path / "gait.txt").write_text("a file")
+    monkeypatch.chdir(tmp_path)
+    status, _, err = run(*COMMAND, tmp_path / "out", *words)
+    assert status != 0
+    assert message in err
+    assert err.count("\n") < 5
+    assert not (tmp_path / "out").exists()

@@ -30,6 +30,7 @@ ARGUMENTS = {
     "plot": ("force-length", ELBOW, "--output", "{folder}/plot.png"),
     "train": (ELBOW, "--output", "{folder}/run"),
     "improve": (f"baselines/{ELBOW}", "--output", "{folder}/improved"),
+    "gait": (ELBOW, "--population", "4", "--generations", "1", "--output", "{folder}/gait"),
     "eval": (f"baselines/{ELBOW}",),
     "score": (ELBOW, "--policy", "zero", "--output", "{folder}/score"),
     "reproduce": ("exo1", "--quick", "--output", "{folder}/exo1"),

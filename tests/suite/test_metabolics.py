@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 from reference import mujoco_muscle as reference
+from reference.bhargava import bhargava
 
 import myowarp
 from myowarp.definitions.muscle import FiberStates, new_fiber_states
@@ -131,16 +132,6 @@ def worlds(muscle, task=ELBOW, number=5, **fields):
         sim.action.assign(draws.astype(np.float32))
         sim.step()
     return sim, signals
-
-
-def bhargava(mass, u, n, v, active, force, slow_ratio=0.5):
-    """Bhargava 2004, equations 1 to 11, in float64 [W]."""
-    slow, fast = slow_ratio * np.sin(np.pi * u / 2), (1 - slow_ratio) * (1 - np.cos(np.pi * u / 2))
-    steady = mass * (40 * slow + 133 * fast)
-    steady += mass * np.interp(n, (0.5, 1.0, 1.5), (0.5, 1.0, 0.0)) * (74 * slow + 111 * fast)
-    shortening, work = 0.25 * force * np.maximum(-v, 0.0), -active * v
-    shortening -= np.minimum(steady + shortening + work, 0.0)
-    return np.maximum(steady + shortening, mass) + work
 
 
 def test_rates_of_mujocos_muscle_follow_from_the_path():

@@ -22,6 +22,7 @@ from test_conditions import NAMES, host_of
 from myowarp.definitions.condition import CONDITIONS
 from myowarp.definitions.task import TASKS
 from myowarp.models.conditions import Fatigue3CCR, Sarcopenia, TendonTear, Uniform
+from myowarp.sim.metabolics import Metabolics
 from myowarp.sim.signals import UNITS, Signals
 from myowarp.sim.simulation import Simulation
 from myowarp.sim.state import State, get_state, set_state
@@ -141,8 +142,8 @@ def test_another_process_goes_on(tmp_path):
 
 def arrays_of(owner, seen):
     """Yield the names of all arrays that an object holds, in its attributes, and in theirs."""
-    is_code = isinstance(owner, (wp.Kernel, wp.Function))
-    if id(owner) in seen or is_code or not hasattr(owner, "__dict__"):
+    other = isinstance(owner, (wp.Kernel, wp.Function, Metabolics))  # the rates follow from the state
+    if id(owner) in seen or other or not hasattr(owner, "__dict__"):
         return
     seen.add(id(owner))
     for name, value in vars(owner).items():

@@ -28,6 +28,7 @@ from myowarp.apps.cli.describe import Describe
 from myowarp.apps.cli.eval import Eval
 from myowarp.apps.cli.examples import Examples
 from myowarp.apps.cli.export import Export
+from myowarp.apps.cli.gait import GaitCommand
 from myowarp.apps.cli.improve import Improve
 from myowarp.apps.cli.motion import Motion
 from myowarp.apps.cli.plot import Plot
@@ -59,6 +60,7 @@ COMMANDS: dict[str, type[Callable[[], None]]] = {
     "audit": Audit,
     "train": Train,
     "improve": Improve,
+    "gait": GaitCommand,
     "eval": Eval,
     "score": Score,
     "baselines": Baselines,
