@@ -1,6 +1,7 @@
 """The command `myowarp motion` on files, against what OpenSim 4.6 recorded."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from myowarp.apps.cli.motion.dynamics import Dynamics
 from myowarp.apps.cli.motion.forces import FILES, Forces
 from myowarp.apps.cli.motion.kinematics import Kinematics
 from myowarp.apps.cli.motion.report import Report
-from myowarp.apps.cli.motion.steps import RENEWED
+from myowarp.apps.cli.motion.said import unknown_to
+from myowarp.apps.cli.motion.steps import RENEWED, absent_from
 from myowarp.motion.markers import Markers, write_trc
 from myowarp.motion.movement import read_motion, write_angles
 from myowarp.motion.storage import Storage, read_storage, write_storage
@@ -40,6 +42,26 @@ def gait(tmp_path):
     write_storage(tmp_path / "push.mot", "push", table)
     (tmp_path / "push.xml").write_text(LOADS.replace("BODY", "calcn_r"))
     return tmp_path, there
+
+
+def test_a_recording_of_another_model_is_doubted():
+    """By markers and coordinates that hardly occur in it."""
+    model = SimpleNamespace(markers=dict.fromkeys(("hip", "knee")))
+
+    def markers(*names):
+        return unknown_to(
+            SimpleNamespace(recorded=SimpleNamespace(names=names), bones=SimpleNamespace(model=model))
+        )
+
+    assert not markers("hip", "knee")
+    assert markers("hip", "knee", "nose") == ["1 of 3 markers are not in the model, and left out: nose"]
+    (line,) = markers("hip", "a", "b", "c", "d")
+    assert line.endswith("left out: a, b, c and 1 more; is it the model of this trial?")
+    few = SimpleNamespace(absent=("knee", "ankle"), values=np.zeros((9, 3)))
+    assert absent_from(few)[0].endswith("knee, ankle (is it of this model? 1 of 3 are there)")
+    assert absent_from(SimpleNamespace(absent=("knee",), values=np.zeros((9, 3))))[0].endswith(
+        "default: knee"
+    )
 
 
 def test_forces(gait, capsys, monkeypatch):

@@ -98,6 +98,8 @@ class Record:
             run(sims[0], acts[0], steps, *watchers, bar)
         write(self.output, films, console, self.fps)
         console.print(f"Saved {self.output}")
+        if text := films[0].marks():
+            console.print(text)
         for film, sim in zip(films, sims, strict=True):
             film.close()
             sim.close()
