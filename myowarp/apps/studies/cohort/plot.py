@@ -149,8 +149,7 @@ def _title(result: CohortResult, summary: pd.DataFrame) -> str:
     return (
         f"{len(summary):,} patients, {settings['task'].removeprefix('MyoWarp/')}, {trials}{duration:g} s, "
         f"policy {settings['policy']!r}: {100 * summary['success_last'].mean():.0f} % solved on the last "
-        f"step, "
-        f"{100 * summary['success'].mean():.0f} % successful"
+        f"step, {100 * summary['success'].mean():.0f} % successful"
     )
 
 

@@ -254,12 +254,13 @@ def doubts(output: Path, trials: list[tuple[str, int]]) -> list[str]:
     from pyarrow import parquet
 
     columns = "root_force_per_weight", "root_force", "feasible_share"
-    rows = []
+    rows: list[tuple[float, float, float, str]] = []
     for name, number in trials:
         table = parquet.read_table(part(output, SUMMARY, number))
         if columns[0] in table.column_names:  # not in parts of before
             first = table.column("draw").to_pylist().index(0)
-            rows.append((*(table.column(column)[first].as_py() for column in columns), name))
+            share, force, held = (table.column(column)[first].as_py() for column in columns)
+            rows.append((share, force, held, name))
     rows.sort(key=lambda row: (-row[0], row[2]))
     lines = []
     for share, force, held, name in rows[:SHOWN]:
