@@ -64,6 +64,18 @@ def test_a_recording_of_another_model_is_doubted():
     )
 
 
+def test_the_examples_markers_are_those_of_its_angles(tmp_path, capsys):
+    """They were placed by two rotations about z, written by hand, with 1 mm of noise."""
+    examples = DATA.parents[1] / "examples"
+    arm, markers, own = (examples / name for name in ("arm.osim", "arm_bend.trc", "arm_markers.xml"))
+    Kinematics(arm, markers=markers, marker_set=own, output=tmp_path)()
+    found, wanted = (read_storage(path) for path in (tmp_path / "ik.mot", examples / "arm_bend.mot"))
+    columns = [found.labels.index(label) for label in wanted.labels]
+    off = found.values[:, columns] - wanted.values
+    assert 0.1 < np.sqrt(np.mean(off**2)) < 0.6, "degrees"
+    assert "not in the model" not in capsys.readouterr().err
+
+
 def test_forces(gait, capsys, monkeypatch):
     folder, there = gait
     monkeypatch.setattr(analyze, "page_of", lambda *rest: [])  # drawn in the tests of the documentation
