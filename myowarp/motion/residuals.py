@@ -92,7 +92,7 @@ class Residuals:
         if not loaded:
             return f"no external loads: {self.share}, carry the weight"
         left = f"more than {100.0 * SMALL:.0f} % of the weight is left at the root"
-        borne = f"; the loads carry {100.0 * carried:.0f} % of it: is the model scaled to this person?"
+        borne = f"; the loads carry {100.0 * carried:.0f} % of the weight: is the model this person's?"
         doubtful = abs(carried - 1.0) > OTHER
         return f"check sign, unit and bodies of the loads, and the filter: {left}{borne if doubtful else ''}"
 
