@@ -87,9 +87,8 @@ def baseline_folder(task: str) -> Path:
     if task.endswith(f"/{PARENT}") and (FOLDER / task).is_dir():
         return FOLDER / task
     if task not in (available := baseline_tasks()):
-        others = (
-            "" if task in TASKS else did_you_mean(task, available)
-        ) or f"available: {', '.join(available)}"
+        near = "" if task in TASKS else did_you_mean(task, available)
+        others = near or f"available: {', '.join(available)}"
         if other := _other_version(task):
             others = f"that of another version is {PREFIX}{other}"
         raise ValueError(f"task {task!r} has no baseline; {others}")
