@@ -1,8 +1,6 @@
 """The documentation site: Sphinx reads the pages here, and `task_pages.py` writes one for each task id."""
 
 import html
-import inspect
-import pkgutil
 import re
 import shutil
 import sys
@@ -56,7 +54,7 @@ def documented(item: re.Match[str]) -> str:
     if more.startswith(":"):
         said = f".. data:: {name}\n\n   {more[2].upper()}{more[3:]}."
     else:
-        kind = "autoclass" if inspect.isclass(pkgutil.resolve_name(name)) else "autofunction"
+        kind = "autofunction" if name.rpartition(".")[2][0].islower() else "autoclass"
         members = ", ".join(re.findall(r"`(\w+)`", more))
         said = f".. {kind}:: {name}" + (f"\n   :members: {members}" if more else "")
     return f"```{{eval-rst}}\n{said}\n```\n"
