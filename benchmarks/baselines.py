@@ -27,6 +27,7 @@ from myowarp.apps.train.run import REPORT
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
 from myowarp.disk import in_place
+from myowarp.inks import INKS
 from myowarp.kernels.episode import MYOSUITE
 from myowarp.sim.economy import as_text
 
@@ -300,8 +301,9 @@ def draw(path: Path) -> None:
     for panel, task in zip(panels, tasks, strict=False):
         with (baselines.FOLDER / task / CURVE).open(newline="") as file:
             points = [(float(row["samples"]) / 1e6, row) for row in csv.DictReader(file)]
-        for rule, text in zip(SUCCESSES, RULES.values(), strict=True):
-            panel.plot([x for x, _ in points], [100 * float(row[rule]) for _, row in points], label=text)
+        for rule, text, ink in zip(SUCCESSES, RULES.values(), INKS[: len(RULES)], strict=True):
+            shares = [100 * float(row[rule]) for _, row in points]
+            panel.plot([x for x, _ in points], shares, color=ink, label=text)
         panel.set_title(task, fontsize="small")
         panel.set(ylim=(-2, 102), xlim=(0, None))
         panel.tick_params(labelsize="small")

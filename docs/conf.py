@@ -28,6 +28,8 @@ default_role = "code"  # what stands in single backticks in a docstring
 myst_heading_anchors = 3
 autodoc_member_order = "bysource"
 LONG = 16  # rows of a table that is folded
+NAME = re.compile(r"^- `([\w.]+)`(, with .*|: .*)?$", re.M)
+"""A name in the list of the reference, with its members or what it is."""
 DESCRIPTION = 160  # characters that search engines show
 
 
@@ -41,7 +43,21 @@ def of_repository(app: Sphinx, page: str, source: list[str]) -> None:
     if page == "extending":
         text = (DOCS.parent / "CONTRIBUTING.md").read_text()
         source[0] = re.sub(r"\[([^\]]+)\]\((?!http)[^)]*\)", r"\1", text)
+    if page == "reference":
+        source[0] = NAME.sub(documented, source[0])
     source[0] = source[0].replace("](../CONTRIBUTING.md", "](extending.md")
+
+
+def documented(item: re.Match[str]) -> str:
+    """Return a name in the list of the reference as its documentation: docstring, members that are named."""
+    name, more = item[1] if item[1].startswith("myowarp.") else f"myowarp.{item[1]}", item[2] or ""
+    if more.startswith(":"):
+        said = f".. data:: {name}\n\n   {more[2].upper()}{more[3:]}."
+    else:
+        kind = "autofunction" if name.rpartition(".")[2][0].islower() else "autoclass"
+        members = ", ".join(re.findall(r"`(\w+)`", more))
+        said = f".. {kind}:: {name}" + (f"\n   :members: {members}" if more else "")
+    return f"```{{eval-rst}}\n{said}\n```\n"
 
 
 def add_audit(app: Sphinx, error: Exception | None) -> None:

@@ -25,6 +25,12 @@ def check_flag(name: str, value: object) -> None:
 MOST_LISTED = 30  # names in an error message
 
 
+def did_you_mean(name: object, known: Iterable[str]) -> str:
+    """Return a question with up to three names that are nearly the one that was typed; "" if none is."""
+    close = difflib.get_close_matches(str(name), list(known), n=3)
+    return f"did you mean {', '.join(close)}?" if close else ""
+
+
 def check_choice(name: str, value: object, choices: Iterable[object]) -> None:
     """Raise ValueError if `value` is none of `choices`."""
     known = tuple(choices)  # a list that was given as `value` has no hash
@@ -116,8 +122,7 @@ class Registry(Generic[T]):
         """
         if name in self:
             return self._entries[name]
-        close = difflib.get_close_matches(str(name), self._entries, n=3)
-        hint = f"did you mean {', '.join(close)}?" if close else self._available()
+        hint = did_you_mean(name, self._entries) or self._available()
         raise ValueError(f"{self.kind} {name!r} unknown; {hint}")
 
     def _available(self) -> str:

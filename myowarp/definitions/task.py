@@ -403,7 +403,7 @@ RESETS = {
 }
 """Starts of a new episode; a random posture carries along objects in the hand."""
 
-LISTED_BY = "`myowarp tasks` lists them, `myowarp tasks --paper` the paper's grid"
+LISTED_BY = "`myowarp tasks` lists them, variants with a condition at the end, and --paper the paper's grid"
 TASKS: Registry[TaskSpec] = Registry("task", listed_by=LISTED_BY)
 
 Spec = TypeVar("Spec", bound=TaskSpec)

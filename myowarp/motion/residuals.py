@@ -20,7 +20,11 @@ SMALL = 0.05
 FAR = 0.5
 """Distance of a centre of pressure from the origin of its body [m] from which it is doubted."""
 LOADED = 0.5
-"""Share of a load's greatest force from which its centre of pressure is looked at."""
+"""Share of a load's greatest force from which it is looked at."""
+OTHER = 0.1
+"""Share of the weight from which loads that carry so much more or less are another person's."""
+HEAVY = 1000.0
+"""Mass from which a model is no person [kg]."""
 
 Peak = tuple[float, str, float]
 """Size, coordinate, and time [s]."""
@@ -56,8 +60,7 @@ class Residuals:
             size = np.abs(given[:, bones.coordinates.index(name)])
             k, turns = int(size.argmax()), model.coordinates[name].rotational
             peaks[turns] = max(peaks[turns], (float(size[k]), name, float(time[k])))
-        mass = sum(body.mass for body in model.bodies.values())
-        return cls(mass * float(np.linalg.norm(model.gravity)), peaks[False], peaks[True])
+        return cls(mass_of(bones) * float(np.linalg.norm(model.gravity)), peaks[False], peaks[True])
 
     def among(self, other: Residuals) -> Residuals:
         """Return the greatest of these and others of the same model."""
@@ -77,14 +80,59 @@ class Residuals:
             said.append(f"{self.moment[0]:.3g} N m at {self.moment[1]}, at {self.moment[2]:.4g} s")
         return [f"residuals at the root: {'; '.join(said)}"] if said else []
 
-    def doubt(self, loaded: bool) -> str:
-        """Return what is likely wrong with the loads, or that there are none; "": little is left."""
+    def doubt(self, loaded: bool, carried: float = 1.0) -> str:
+        """Return what is likely wrong with the loads, or that there are none; "": little is left.
+
+        Args:
+            loaded: Whether there are loads.
+            carried: Share of the weight that they carry, as of `carried`.
+        """
         if not self.force[0] > SMALL * self.weight:
             return ""
         if not loaded:
             return f"no external loads: {self.share}, carry the weight"
         left = f"more than {100.0 * SMALL:.0f} % of the weight is left at the root"
-        return f"check sign, unit and bodies of the loads, and the filter: {left}"
+        borne = f"; the loads carry {100.0 * carried:.0f} % of the weight: is the model this person's?"
+        doubtful = abs(carried - 1.0) > OTHER
+        return f"check sign, unit and bodies of the loads, and the filter: {left}{borne if doubtful else ''}"
+
+
+def mass_of(bones: Bones) -> float:
+    """Return the mass of a model [kg]."""
+    return sum(body.mass for body in bones.model.bodies.values())
+
+
+def too_heavy(bones: Bones) -> Iterator[str]:
+    """Yield that a model weighs more than a person."""
+    if (mass := mass_of(bones)) > HEAVY:
+        yield f"the model {bones.model.name!r} weighs {mass:,.0f} kg: are its masses in grams?"
+
+
+def carried(bones: Bones, needed: Needed, loads: Sequence[Load]) -> float:
+    """Return the share of what holds a model up, over weight and acceleration, that recorded loads give.
+
+    It is the median over the frames in which they push up most; 1 where none does, or no single root is free.
+
+    Args:
+        bones: The model.
+        needed: What its motion takes under the loads.
+        loads: Those of a recording bear names; others are the model's own.
+    """
+    model, gravity = bones.model, np.array(bones.model.gravity, float)
+    roots = {model.joints[model.coordinates[name].joint].child for name in floating(model)}
+    own = [load for load in loads if load.name and bones.number(load.body) >= 0]
+    if len(roots) != 1 or not own or not gravity.any():
+        return 1.0
+    up, lift = -gravity / np.linalg.norm(gravity), np.zeros(len(needed.origin))
+    for load in own:
+        frame = bones.number(load.force_frame)
+        turned = np.einsum("fij,fj->fi", needed.rotation[:, frame], load.force)
+        lift += (turned if frame >= 0 else load.force) @ up
+    if (most := lift.max()) <= 0.0:
+        return 1.0
+    pushed = lift >= LOADED * most
+    whole = lift[pushed] + needed.force[pushed, bones.number(roots.pop())] @ up
+    return float(np.median(lift[pushed] / np.where(whole > 0.0, whole, np.inf)))
 
 
 def astray(bones: Bones, needed: Needed, loads: Sequence[Load]) -> Iterator[str]:

@@ -26,7 +26,7 @@ from myowarp.motion.movement import Movement, read_motion, read_parts
 from myowarp.motion.muscle_forces import MuscleForces, muscle_forces, rigid_capacity
 from myowarp.motion.orientation_kinematics import orientation_kinematics
 from myowarp.motion.orientations import axes_of_sensors, read_orientations
-from myowarp.motion.residuals import Residuals, astray
+from myowarp.motion.residuals import Residuals, astray, carried, too_heavy
 from myowarp.motion.results import (
     Gaps,
     JointAngles,
@@ -263,8 +263,9 @@ def doubted(bones: Bones, motion: Loaded, needed: Needed, loads: Sequence[Load])
         needed: What it takes.
         loads: At its times.
     """
-    doubt = Residuals.of(bones, motion.time, needed.joint_moment).doubt(bool(loads))
-    said = [*filter(None, [doubt]), *astray(bones, needed, loads)]
+    left = Residuals.of(bones, motion.time, needed.joint_moment)
+    doubt = left.doubt(bool(loads), carried(bones, needed, loads))
+    said = [*filter(None, [doubt]), *astray(bones, needed, loads), *too_heavy(bones)]
     if not motion.first:
         for sentence in said:
             logger.warning("%s", sentence)

@@ -29,7 +29,7 @@ LEAST_SPEED = 0.1
 ABSURD_RATE = 20.0
 """W/kg: people spend as much at 5 m/s, as running costs 4 J/kg/m (Margaria 1963, J Appl Physiol 18:367).
 
-It judges whole bodies alone: an arm without its trunk is mostly muscle at work.
+An arm without its trunk is mostly muscle at work, and may exceed it.
 """
 
 
@@ -118,11 +118,21 @@ def heading(name: str, mass: float | None) -> str:
 
 
 def doubt(figures: Mapping[str, float | None]) -> str:
-    """Return, in a sentence, that a free root's metabolic rate is above `ABSURD_RATE`; "" where none is."""
+    """Return, in a sentence, that a metabolic rate is above `ABSURD_RATE`; "" where none is.
+
+    Where no root is free the model is a part of a person, and its mass is that part's bones alone.
+    """
     speed, *rates = (figures.get(name) for name in ("speed", *(f"{law}_per_kg" for law in LAWS)))
     most = max((rate for rate in rates if rate is not None and np.isfinite(rate)), default=0.0)
-    if speed is None or most <= ABSURD_RATE:
+    if most <= ABSURD_RATE:
         return ""
+    if speed is None:
+        mass = figures.get("body_mass")
+        own = "" if mass is None else f", {mass:.3g} kg"
+        return (
+            f"{most:,.0f} W/kg is no person's: the mass is that of the model's few bones{own}; read the rate "
+            "in W"
+        )
     return (
         f"absurd metabolic rate: up to {most:.1f} W/kg, where a person who runs at 5 m/s spends "
         f"{ABSURD_RATE:g}; do not compare it with people"

@@ -219,6 +219,22 @@ def test_an_unknown_option_names_the_nearest(run, typed, sentence):
     assert_one_sentence(run(*typed.split()), sentence)
 
 
+@pytest.mark.parametrize(
+    ("typed", "sentence"),
+    [
+        (f"rollot {ELBOW}", "there is no command 'rollot'; did you mean rollout"),
+        ("motion forcs arm.osim", "motion has no step 'forcs'; did you mean forces?"),
+        ("qqqq", "there is no command 'qqqq'; myowarp --help lists them"),
+        (f"rollout {ELBOW} --policy randm", "policy 'randm' unknown; did you mean random?"),
+        (f"rollout {ELBOW} --policy runs/none", "policy 'runs/none' unknown; there is no such folder; "),
+        ("eval baselines/myoElbowPose1D6MFixd-v0", "has no baseline; did you mean myoElbowPose1D6MFixed-v0"),
+        ("improve runs/none", "policy 'runs/none' is no folder of a run; name one, or a policy of the pack"),
+    ],
+)
+def test_a_misspelt_name_finds_the_nearest(run, typed, sentence):
+    assert_one_sentence(run(*typed.split()), sentence)
+
+
 @pytest.mark.parametrize("option", [("--address", "auto"), ("--cpus", "2")])
 def test_options_of_a_cluster_need_one(run, tmp_path, option):
     status, _, err = run("motion", "study", "none.csv", *option, "--output", tmp_path / "out")

@@ -142,6 +142,7 @@ def test_a_cohort_counts_falls_apart(task, known):
     share = f"{100 * (~fell).mean():.1f} %"
     assert shown["successful"] == f"{share} (more than 5 solved steps, no failure)"
     assert shown["at the end"].endswith("% (solved on the last step)")
+    assert not [name for name in shown if name.startswith("at the end, by")], "all are equally strong"
     mass = f"{mujoco.MjModel.from_xml_path(str(HOPPER)).body_mass.sum():.3g}"
     assert f"metabolic rate, Bhargava 2004 [W/kg of the model, {mass} kg]" in shown
     assert shown["failed"] == f"{2 * fell.sum()} of {2 * WORLDS} episodes"
@@ -195,7 +196,11 @@ def test_an_absurd_rate_is_said_to_be_so(rates):
     names = ("bhargava2004_per_kg", "umberger2010_per_kg")
     figures, walks = dict(zip(names, rates, strict=True)), {"speed": 1.4}
     assert doubt(figures | walks).startswith("absurd metabolic rate: up to 42.0 W/kg, ")
-    assert not doubt(figures), "of an arm without a body"
+    part = doubt(figures | {"body_mass": 0.0204})
+    assert part == (
+        "42 W/kg is no person's: the mass is that of the model's few bones, 0.0204 kg; read the rate in W"
+    )
+    assert not doubt(dict.fromkeys(names, 4.0 * 5.0))
     assert not doubt(dict.fromkeys(names, 4.0 * 5.0) | walks)
     assert not doubt(dict.fromkeys(names) | walks)
 

@@ -24,7 +24,7 @@ from myowarp.osim.body.skeleton import Bones  # noqa: E402
 from myowarp.osim.document.read.model import read_model  # noqa: E402
 
 DATA = Path(__file__).parents[1] / "data"
-ARM, LEG = (DATA / f"osim/{name}.osim" for name in ("arm26", "leg6dof9musc"))
+ARM, LEG, GAIT = (DATA / f"osim/{name}.osim" for name in ("arm26", "leg6dof9musc", "gait10dof18musc"))
 ROUNDING = 1e-6
 
 
@@ -128,6 +128,18 @@ def table(tmp_path):
     ]
     pd.DataFrame([{"model": str(ARM), **row} for row in rows]).to_csv(tmp_path / "trials.csv", index=False)
     return tmp_path / "trials.csv"
+
+
+def test_a_study_says_what_is_left_at_the_root(tmp_path, capsys):
+    """Of one who stands still without a floor: his weight."""
+    bones, time = Bones.read(GAIT), np.linspace(0.0, 1.0, 11)
+    still = np.tile([bones.model.coordinates[name].default for name in bones.coordinates], (11, 1))
+    write_angles(tmp_path / "still.mot", bones.model, bones.coordinates, time, still)
+    (tmp_path / "trials.csv").write_text(f"trial,model,motion\nstill,{GAIT},still.mot\n")
+    Study(tmp_path / "trials.csv", reserve=1e4, output=tmp_path / "out")()
+    weight = sum(body.mass for body in bones.model.bodies.values()) * np.linalg.norm(bones.model.gravity)
+    left = f"still: residuals at the root {weight:.0f} N (100 % of the weight): check its loads, filter and"
+    assert left in capsys.readouterr().err
 
 
 def test_a_study(table, capsys):

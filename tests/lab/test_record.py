@@ -112,6 +112,7 @@ def test_command_writes_a_picture(capsys, monkeypatch, tmp_path):
         pytest.skip(said)
     assert status == 0, said
     assert f"Saved {path}".replace(" ", "") in said.replace(" ", "")
+    assert said.endswith("orange balls are the tips of the limb, a green shadow is the wanted posture")
     assert next(imageio_ffmpeg.read_frames(str(path)))["size"] == (2 * 64 + 2, 48)
 
 

@@ -6,6 +6,7 @@ The tables are from `tests/data/record_opensim_beside.py` and `record_opensim_fo
 import json
 import logging
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from myowarp.motion.joint_reactions import joint_reactions
 from myowarp.motion.loads import prescribed_loads
 from myowarp.motion.movement import write_angles
 from myowarp.motion.muscle_forces import muscle_forces
-from myowarp.motion.residuals import Residuals
+from myowarp.motion.residuals import Residuals, too_heavy
 from myowarp.motion.setup import TrialSetup
 from myowarp.motion.smooth import derivatives
 from myowarp.motion.steps import dynamics
@@ -379,15 +380,25 @@ def test_a_motion_without_loads_says_what_carries_the_weight(tmp_path, caplog):
     assert (still.doubt(loaded=False), still.lines()) == ("", [])
 
 
+def test_masses_in_grams_are_doubted():
+    model = read_model(DATA / "osim/gait10dof18musc.osim")
+    bodies = {name: replace(body, mass=1e3 * body.mass) for name, body in model.bodies.items()}
+    (sentence,) = too_heavy(Bones(replace(model, bodies=bodies), "cpu"))
+    assert re.fullmatch(r"the model '.*' weighs 7\d,\d{3} kg: are its masses in grams\?", sentence)
+    assert not list(too_heavy(Bones(model, "cpu")))
+
+
 LOADS = """<ExternalLoads name="l"><objects><ExternalForce name="ground"><applied_to_body>calcn_r
 </applied_to_body><force_identifier>f</force_identifier><point_identifier>p</point_identifier></ExternalForce>
 </objects><datafile>push.mot</datafile></ExternalLoads>"""
 
 
-@pytest.mark.parametrize(("factor", "share"), [(1.0, 0), (0.97, 3), (-1.0, 200), (1e-3, 100)])
+@pytest.mark.parametrize(("factor", "share"), [(1.0, 0), (0.97, 3), (1.25, 25), (-1.0, 200), (1e-3, 100)])
 @pytest.mark.parametrize("off", [0.2, 0.9])
 def test_what_loads_leave_at_the_root_is_said(tmp_path, caplog, capsys, factor, share, off):
-    """Of one who stands still on a force of his weight: of another sign, in kN, and beside the foot."""
+    """Of one who stands still on a force of his weight: a heavier one's, of another sign, in kN, and beside
+    the foot.
+    """
     bones = Bones.read(DATA / "osim/gait10dof18musc.osim", "cpu")
     time = np.linspace(0.0, 1.0, 41)
     pose = {name: np.array([bones.model.coordinates[name].default]) for name in bones.coordinates}
@@ -406,7 +417,8 @@ def test_what_loads_leave_at_the_root_is_said(tmp_path, caplog, capsys, factor, 
     worst = rf"{abs(1.0 - factor) * weight:.0f} N \({share} % of the weight\) at pelvis_t[xy], at \S+ s"
     assert re.search(rf"residuals at the root: {worst}; \S+ N m at pelvis_tilt", capsys.readouterr().err)
     doubt = "check sign, unit and bodies of the loads, and the filter: more than 5 % of the weight is left at"
-    expected = [f"{doubt} the root"] if share > 5 else []
+    borne = f"; the loads carry {100.0 * factor:.0f} % of the weight: is the model this person's[?]"
+    expected = [f"{doubt} the root{borne if factor > 0.0 else ''}"] if share > 5 else []
     if off > 0.5:
         expected.append(f"the centre of pressure of 'ground' is {off} m from calcn_r: wrong foot or unit[?]")
     assert len(said) == len(expected)

@@ -1,6 +1,7 @@
 """The command `myowarp motion` on files, against what OpenSim 4.6 recorded."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from myowarp.apps.cli.motion.dynamics import Dynamics
 from myowarp.apps.cli.motion.forces import FILES, Forces
 from myowarp.apps.cli.motion.kinematics import Kinematics
 from myowarp.apps.cli.motion.report import Report
-from myowarp.apps.cli.motion.steps import RENEWED
+from myowarp.apps.cli.motion.said import unknown_to
+from myowarp.apps.cli.motion.steps import RENEWED, absent_from
 from myowarp.motion.markers import Markers, write_trc
 from myowarp.motion.movement import read_motion, write_angles
 from myowarp.motion.storage import Storage, read_storage, write_storage
@@ -40,6 +42,38 @@ def gait(tmp_path):
     write_storage(tmp_path / "push.mot", "push", table)
     (tmp_path / "push.xml").write_text(LOADS.replace("BODY", "calcn_r"))
     return tmp_path, there
+
+
+def test_a_recording_of_another_model_is_doubted():
+    """By markers and coordinates that hardly occur in it."""
+    model = SimpleNamespace(markers=dict.fromkeys(("hip", "knee")))
+
+    def markers(*names):
+        return unknown_to(
+            SimpleNamespace(recorded=SimpleNamespace(names=names), bones=SimpleNamespace(model=model))
+        )
+
+    assert not markers("hip", "knee")
+    assert markers("hip", "knee", "nose") == ["1 of 3 markers are not in the model, and left out: nose"]
+    (line,) = markers("hip", "a", "b", "c", "d")
+    assert line.endswith("left out: a, b, c and 1 more; is it the model of this trial?")
+    few = SimpleNamespace(absent=("knee", "ankle"), values=np.zeros((9, 3)))
+    assert absent_from(few)[0].endswith("knee, ankle (is it of this model? 1 of 3 are there)")
+    assert absent_from(SimpleNamespace(absent=("knee",), values=np.zeros((9, 3))))[0].endswith(
+        "default: knee"
+    )
+
+
+def test_the_examples_markers_are_those_of_its_angles(tmp_path, capsys):
+    """They were placed by two rotations about z, written by hand, with 1 mm of noise."""
+    examples = DATA.parents[1] / "examples"
+    arm, markers, own = (examples / name for name in ("arm.osim", "arm_bend.trc", "arm_markers.xml"))
+    Kinematics(arm, markers=markers, marker_set=own, output=tmp_path)()
+    found, wanted = (read_storage(path) for path in (tmp_path / "ik.mot", examples / "arm_bend.mot"))
+    columns = [found.labels.index(label) for label in wanted.labels]
+    off = found.values[:, columns] - wanted.values
+    assert 0.1 < np.sqrt(np.mean(off**2)) < 0.6, "degrees"
+    assert "not in the model" not in capsys.readouterr().err
 
 
 def test_forces(gait, capsys, monkeypatch):

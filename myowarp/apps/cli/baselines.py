@@ -12,9 +12,10 @@ from rich.console import Console
 from rich.table import Table
 
 from myowarp.apps.cli.options import Asked, environment, optional
-from myowarp.apps.reports.evaluation import SUCCESSES, success_text
+from myowarp.apps.reports.evaluation import MODES, SUCCESSES, success_text
 from myowarp.apps.train.settings import divided
 from myowarp.definitions.setup import Setup
+from myowarp.definitions.task import TASKS
 from myowarp.kernels.episode import MYOSUITE
 
 RULES = {MYOSUITE: "more than 5 solved steps, failed or not", **SUCCESSES}
@@ -116,15 +117,30 @@ def _list(found: list[Baseline], as_json: bool) -> None:
     if as_json:
         print(json.dumps({baseline.task: {"runs": baseline.runs} for baseline in found}, indent=1))
         return
-    table, modes = Table("task", "samples", "deterministic", "sampled"), ("deterministic", "sampled")
+    columns = [f"{rule}{drawn}" for drawn in ("", ", drawn") for rule in ("strict", "paper")]
+    table = Table("task", "samples", *columns, "today's trainer")
     table.columns[0].no_wrap = True
     for baseline in found:
         run = baseline.runs[0]
-        shares = (f"{100 * run['evaluation'][mode][MYOSUITE]:.1f} %" for mode in modes)
-        table.add_row(baseline.task, f"{run['training']['samples'] / 1e6:.2f} M", *shares)
+        shares = (_share(run["evaluation"][mode], rule) for mode in MODES for rule in ("success", MYOSUITE))
+        lowest = f"{TASKS[baseline.task].name}-v0"
+        label = baseline.task + (" (corrected)" if lowest in TASKS and lowest != baseline.task else "")
+        samples = f"{run['training']['samples'] / 1e6:.2f} M"
+        table.add_row(label, samples, *shares, "yes" if baseline.is_todays else "no")
     console = Console(highlight=False, soft_wrap=True)
     console.print(table)
     console.print(
-        f"Episodes with {RULES[MYOSUITE]}, of 256 with deterministic and 256 with sampled actions under "
-        "parity physics; --json has intervals and two more rules."
+        f"strict: episodes with {SUCCESSES['success']}, as `myowarp eval` counts; paper: {RULES[MYOSUITE]}.\n"
+        "256 episodes with the policy's means as actions, and 256 with drawn ones, under parity physics; 1 of"
+        " 1: all 256 are the same; -: not counted.\nyes: today's trainer made the policy, and `myowarp"
+        " baselines run ID` makes it again; no: an earlier one did.\n--json has every seed, intervals and two"
+        " more rules.",
+        markup=False,
     )
+
+
+def _share(figures: dict[str, Any], rule: str) -> str:
+    """Return a success in percent, or of the one episode that all were; "-": it was not counted."""
+    if rule not in figures:
+        return "-"
+    return f"{figures[rule]:.0f} of 1" if figures["one_episode"] else f"{100 * figures[rule]:.1f} %"

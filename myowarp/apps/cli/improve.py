@@ -41,6 +41,11 @@ class ImproveCommand:
         given = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         policy, setup = given.pop("policy"), given.pop("asked").setup
         folder = None if policy == OWN else policy_folder(policy, None)
+        if folder is None and policy != OWN and setup.task is None:
+            raise ValueError(
+                f"policy {policy!r} is no folder of a run; name one, or a policy of the package (`myowarp "
+                "baselines list`), or give --task ID beside another, such as muscle-control"
+            )
         given["expert" if folder is None else "parent"] = policy
         if folder is not None and setup.task is None:
             setup = dataclasses.replace(setup, task=trained_setup(load_checkpoint(folder).manifest).task)

@@ -41,6 +41,7 @@ from myowarp.apps.cli.tasks import Tasks
 from myowarp.apps.cli.train import Train
 from myowarp.apps.cli.view import View
 from myowarp.apps.cli.warmup import Warmup
+from myowarp.definitions.registry import did_you_mean
 from myowarp.disk import sentence
 
 ABOUT = """Musculoskeletal motor control, simulated in thousands of worlds at once.
@@ -97,11 +98,8 @@ def _one_of(commands: Mapping[str, type], depth: int = 1) -> Any:
     return Union[tuple(kinds)]  # noqa: UP007
 
 
-def _unknown_option() -> str:
-    """Return which option the typed command does not have, and the nearest that it or a step beside it has.
-
-    "" where it has all of them.
-    """
+def _unknown_word() -> str:
+    """Return which command, step or option does not exist, and the nearest that does; "" where all exist."""
     typed, beside, kinds, kind = "", "", COMMANDS, object
     for word in sys.argv[1:]:
         if word in kinds:
@@ -109,6 +107,9 @@ def _unknown_option() -> str:
             if not (below := getattr(kind, "COMMANDS", None)):
                 break
             kinds = below
+        elif not word.startswith("-"):
+            near = did_you_mean(word, kinds) or f"myowarp {typed}".strip() + " --help lists them"
+            return f"{f'{typed} has no step' if typed else 'there is no command'} {word!r}; {near}"
     else:
         return ""
     own = _options(kind)
@@ -152,7 +153,7 @@ def _chosen() -> Callable[[], None]:
     """Return the command that was typed.
 
     Raises:
-        ValueError: It does not have an option.
+        ValueError: There is no such command, or it does not have an option.
         SystemExit: It was only explained, or tyro has said what is wrong.
     """
     read: Callable[..., Callable[[], None]] = functools.partial(
@@ -161,7 +162,7 @@ def _chosen() -> Callable[[], None]:
     try:
         return read(console_outputs=False)
     except SystemExit:
-        if sentence := _unknown_option():
+        if sentence := _unknown_word():
             raise ValueError(sentence) from None
         return read()
 

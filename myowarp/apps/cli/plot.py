@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 BODY = ("moment-arms", "force-length", "force-velocity")
 LEARNING, ASSISTANCE, MOTION = "learning", "assistance", "motion"
+RECORDER = "`myowarp rollout ID --signals run.parquet`"
+WRITERS = {LEARNING: "`myowarp train`", ASSISTANCE: "`myowarp cohort`", MOTION: "`myowarp motion`"}
+"""Commands that write what is drawn."""
 
 
 @dataclass
@@ -85,6 +88,8 @@ class Plot:
 
         if importlib.util.find_spec("matplotlib") is None:
             raise ImportError(f"plot needs matplotlib, which is not installed; run {to_install('plot')}")
+        self._check_motion()
+        self._check_sources()
         check_folder(self.output.parent)
         make_folder(self.output.parent)
         check_output(self.output, ".png", ".pdf")
@@ -99,7 +104,6 @@ class Plot:
         from myowarp.apps.reports import figures
         from myowarp.sim.build import oracle_model
 
-        self._check_motion()
         if self.what == LEARNING:
             return figures.learning([Path(source) for source in self.sources], self.columns)
         if len(self.sources) != 1:
@@ -122,6 +126,17 @@ class Plot:
         check_least(0, world=self.world)
         course = figures.read_course(Path(source), self.what, self.world, self.episode)
         return figures.over_time(course, self.muscles)
+
+    def _check_sources(self) -> None:
+        """Raise ValueError if there is no source, or one is a file or folder that does not exist."""
+        if not self.sources:
+            raise ValueError(
+                f"plot needs WHAT and a SOURCE behind it, such as activation run.parquet, got {self.what!r} "
+                "alone; myowarp plot --help lists them"
+            )
+        for source in () if self.what in BODY else self.sources:
+            if not Path(source).exists():
+                raise ValueError(f"{source!r} does not exist; {WRITERS.get(self.what, RECORDER)} writes one")
 
     def _check_motion(self) -> None:
         """Raise ValueError if options of motion are of something else, or no person's."""

@@ -20,8 +20,8 @@ from myowarp.view.drawing.muscles import QUANTITIES
 class Record:
     """Film a policy: several worlds as tiles, or two sets of conditions side by side from the same state.
 
-    Muscles are as wide as they are strong, and coloured by what they do. A green ghost shows the posture that
-    a pose task asks for; lines join tips to their targets.
+    Muscles are as wide as they are strong, and coloured by what they do. Targets are green, balls and a ghost
+    in the posture of a pose task; tips of the limb are orange, and lines join them to their targets.
 
     Example: myowarp record myoHandReachRandom-v1 --worlds 4 -o hand.gif
 
@@ -98,6 +98,8 @@ class Record:
             run(sims[0], acts[0], steps, *watchers, bar)
         write(self.output, films, console, self.fps)
         console.print(f"Saved {self.output}")
+        if text := films[0].marks():
+            console.print(text)
         for film, sim in zip(films, sims, strict=True):
             film.close()
             sim.close()

@@ -78,7 +78,8 @@ class Rollout:
         autoreset = "disabled" if self.video and setup.reset != "none" else "same_step"
         sim = Simulation(setup, self.num_worlds, autoreset=autoreset)
         trace = Trace() if self.save else None
-        film = Film(sim, range(min(self.video_worlds, self.num_worlds)), TILE) if self.video else None
+        tiles = range(min(self.video_worlds, self.num_worlds))
+        film = Film(sim, tiles, TILE, legend=True) if self.video else None
         with recording(sim, self.signals, self.signals_every) if self.signals else nullcontext() as recorder:
             fall = Fall(sim)
             watchers = [watcher for watcher in (trace, recorder, film, fall) if watcher is not None]
@@ -97,6 +98,8 @@ class Rollout:
             try:
                 write(self.video, [film], console)
                 console.print(f"Saved {self.video}")
+                if text := film.marks():
+                    console.print(text)
             except NoGraphicsError as error:
                 console.print(f"No video: {error}", style="yellow")
             film.close()

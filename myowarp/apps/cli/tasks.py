@@ -16,7 +16,7 @@ from rich.progress import track
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.task import TASKS
 from myowarp.tasks.paper import grid
-from myowarp.tasks.variants import PREFIXES
+from myowarp.tasks.variants import PREFIXES, variants
 
 UNBROKEN = 10_000
 """Width of a line that goes to a file or to another command: ids and sentences stay whole."""
@@ -76,7 +76,10 @@ def _rows(family: str | None) -> Iterable[dict[str, Any]]:
 
 def _of_tasks(rows: list[dict[str, Any]], width: int) -> Iterable[str]:
     """Return the list as lines: tasks of the same sizes under a heading that has them, versions together."""
-    yield f"{len(rows)} tasks; their ids in Gymnasium begin with MyoWarp/"
+    yield (
+        f"{len(rows)} tasks; with the variants at the end and the paper's grid (--paper) all tasks have "
+        f"{len(variants())} ids, which in Gymnasium begin with MyoWarp/"
+    )
     names = [row["id"].removeprefix("MyoWarp/") for row in rows]
     first = {name.rpartition("-v")[0]: i for i, name in reversed(list(enumerate(names)))}
     listed = sorted(

@@ -19,6 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from myowarp.apps.policies.checkpoint import LEARNER, Checkpoint, CheckpointError, load_checkpoint
+from myowarp.definitions.registry import did_you_mean
+from myowarp.definitions.task import TASKS
 from myowarp.kernels.episode import MYOSUITE
 from myowarp.process import warn_once
 
@@ -85,10 +87,10 @@ def baseline_folder(task: str) -> Path:
     if task.endswith(f"/{PARENT}") and (FOLDER / task).is_dir():
         return FOLDER / task
     if task not in (available := baseline_tasks()):
-        other = _other_version(task)
-        others = (
-            f"that of another version is {PREFIX}{other}" if other else f"available: {', '.join(available)}"
-        )
+        near = "" if task in TASKS else did_you_mean(task, available)
+        others = near or f"available: {', '.join(available)}"
+        if other := _other_version(task):
+            others = f"that of another version is {PREFIX}{other}"
         raise ValueError(f"task {task!r} has no baseline; {others}")
     return FOLDER / task
 

@@ -11,13 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from myowarp.apps.policies.baselines import policy_folder
+from myowarp.apps.policies.baselines import OWN, PREFIX, policy_folder
 from myowarp.apps.policies.checkpoint import Checkpoint
 from myowarp.apps.policies.hold import Hold, check_hold
 from myowarp.apps.policies.learned import Act, Bound, begins, read_policy
 from myowarp.apps.policies.muscle_control import MuscleControl, check_muscle_control
 from myowarp.apps.policies.reflex import Gait, ReflexControl, is_gait, read_gait
 from myowarp.apps.policies.replay import Replay, is_replay
+from myowarp.definitions.registry import did_you_mean
 from myowarp.definitions.task import TaskSpec
 from myowarp.models.bodies.from_file import OPENSIM
 from myowarp.motion.storage import Storage, read_storage
@@ -25,6 +26,11 @@ from myowarp.sim.simulation import Simulation
 from myowarp.tasks.outside import load
 
 BUILT_IN = ("random", "zero", "hold", "muscle-control")
+AVAILABLE = (
+    f"available: {', '.join(BUILT_IN)}, {OWN}, {PREFIX}<task>, the folder of a trained policy, excitations "
+    "(.sto, .mot, .csv), a gait (.json), a model's own controllers (.osim), package.module:function, "
+    "file.py:function"
+)
 CHECKS = {"hold": check_hold, "muscle-control": check_muscle_control}
 
 
@@ -82,10 +88,9 @@ def find_policy(name: str, spec: TaskSpec) -> Policy:
         return Policy(name, excitations=prescribed(Path(name), spec))
     source, colon, attribute = name.rpartition(":")
     if not colon:
+        absent = "there is no such folder; " if "/" in name else ""
         raise ValueError(
-            f"policy {name!r} unknown; available: {', '.join(BUILT_IN)}, baseline, "
-            "baselines/<task>, the folder of a trained policy, excitations (.sto, .mot, .csv), "
-            "a gait (.json), a model's own controllers (.osim), package.module:function, file.py:function"
+            f"policy {name!r} unknown; {absent}{did_you_mean(name, (*BUILT_IN, OWN)) or AVAILABLE}"
         )
     try:
         act = getattr(load(source), attribute, None)

@@ -112,6 +112,17 @@ class Film(Watcher):
         """Keep what the worlds look like after a step."""
         self.add(step.reward, step.success)
 
+    def marks(self) -> str:
+        """Return what balls and shadows in the pictures are, in a sentence; "" where there are none."""
+        seen = self.frames[-1][0]
+        meanings = {
+            "green balls are targets": bool(seen.goals),
+            "orange balls are the tips of the limb": bool(BODIES[self.sim.scene.spec.body].tips),
+            "a green shadow is the wanted posture": seen.ghost is not None,
+        }
+        words = [words for words, shown in meanings.items() if shown]
+        return f"In the film {', '.join(words)}" if words else ""
+
     def open(self) -> None:
         """Open what draws, so that it fails before anything is simulated.
 

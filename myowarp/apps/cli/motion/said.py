@@ -56,7 +56,19 @@ def of_markers(parts: Iterable[JointAngles]) -> list[str]:
         gaps = of_gaps(part.gaps)
     lines = [f"{marker}: {1e3 * rms:.1f} mm rms, {1e3 * most:.1f} mm at most"
              for marker, rms, most in errors.worst()[:SHOWN]]  # fmt: skip
-    return [*gaps, *lines, *filter(None, [errors.doubt()])]
+    return [*gaps, *unknown_to(part), *lines, *filter(None, [errors.doubt()])]
+
+
+def unknown_to(part: JointAngles) -> list[str]:
+    """Return which recorded markers the model has not, in one line or none."""
+    names = part.recorded.names if part.recorded is not None else ()
+    left = [name for name in names if name not in part.bones.model.markers]
+    if not left:
+        return []
+    more = f" and {len(left) - SHOWN} more" if len(left) > SHOWN else ""
+    wrong = "; is it the model of this trial?" if 2 * len(left) > len(names) else ""
+    some = f"{', '.join(left[:SHOWN])}{more}"
+    return [f"{len(left)} of {len(names)} markers are not in the model, and left out: {some}{wrong}"]
 
 
 def of_sensors(parts: Iterable[JointAngles]) -> list[str]:

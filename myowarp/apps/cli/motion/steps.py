@@ -138,7 +138,11 @@ def applied(setup: TrialSetup) -> list[str]:
 
 def absent_from(motion: Movement) -> list[str]:
     """Return which coordinates a motion has not, in one line or none."""
-    return [f"not in the file, and at default: {', '.join(motion.absent)}"] if motion.absent else []
+    if not motion.absent:
+        return []
+    absent, every = len(motion.absent), motion.values.shape[1]
+    wrong = f" (is it of this model? {every - absent} of {every} are there)" if 2 * absent > every else ""
+    return [f"not in the file, and at default: {', '.join(motion.absent)}{wrong}"]
 
 
 def along(

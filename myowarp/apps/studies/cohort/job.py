@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from myowarp.apps.reports import panel
 from myowarp.apps.reports.evaluation import SUCCESSES, passing
 from myowarp.apps.reports.table import number, terminal
 from myowarp.apps.studies.cohort.plan import plan_cohort
+from myowarp.apps.studies.cohort.plot import draw_cohort, group_patients
 from myowarp.apps.studies.cohort.run import CohortResult, result_files, run_plan
 from myowarp.disk import check_folder, check_overwrite
 from myowarp.extras import to_install
@@ -39,7 +41,6 @@ def run(table: Path, output: Path, suffix: str, console: Console, overwrite: boo
         console.print(f"No plot: it needs matplotlib; run {to_install('plot')}", style="yellow", markup=False)
     else:
         from myowarp.apps.studies.cohort.assistance import assistance_map, crosses
-        from myowarp.apps.studies.cohort.plot import draw_cohort
 
         paths.append(output / PLOT)
         draw_cohort(result, paths[-1])
@@ -51,12 +52,23 @@ def run(table: Path, output: Path, suffix: str, console: Console, overwrite: boo
     summary = result.summary
     said = (
         passing(summary["success"].mean(), summary["success_last"].mean()),
-        doubt(summary.filter(ECONOMY).max()),
+        doubt({**summary.filter(ECONOMY).max(), "body_mass": result.settings["body_mass"]}),
     )
     for text in filter(None, said):
         console.print(text, style="yellow", markup=False)
     for path in paths:
         console.print(f"Saved {path}")
+
+
+def _between_patients(result: CohortResult) -> Iterator[tuple[str, str]]:
+    """Yield success at the end by groups of patients, of columns of numbers that vary."""
+    summary = result.summary
+    for name in result.settings["columns"]:
+        if summary[name].dtype.kind in "fiu" and summary[name].nunique() > 1:
+            groups = group_patients(summary[name])
+            shares = (100.0 * summary["success_last"][member].mean() for member in groups.members)
+            parts = zip(shares, groups.labels, strict=True)
+            yield f"at the end, by {name}", ", ".join(f"{share:.0f} % ({own})" for share, own in parts)
 
 
 def figures(result: CohortResult) -> Table:
@@ -69,8 +81,9 @@ def figures(result: CohortResult) -> Table:
         "trials of each": str(settings["trials"]),
         "control steps": str(settings["steps"]),
         "conditions": ", ".join(settings["conditions"]) or "none",
-        "successful": f"{100 * summary['success'].mean():.1f} % ({SUCCESSES['success']})",
         "at the end": f"{100 * summary['success_last'].mean():.1f} % ({SUCCESSES['success_last']})",
+        **dict(_between_patients(result)),
+        "successful": f"{100 * summary['success'].mean():.1f} % ({SUCCESSES['success']})",
         "failed": f"{summary['failed'].sum():,} of {len(summary):,} episodes",
     }
     if "final_error" in summary:

@@ -148,8 +148,8 @@ def _title(result: CohortResult, summary: pd.DataFrame) -> str:
     trials = "" if settings["trials"] == 1 else f"{settings['trials']} trials of "
     return (
         f"{len(summary):,} patients, {settings['task'].removeprefix('MyoWarp/')}, {trials}{duration:g} s, "
-        f"policy {settings['policy']!r}: {100 * summary['success'].mean():.0f} % successful, "
-        f"{100 * summary['success_last'].mean():.0f} % solved on the last step"
+        f"policy {settings['policy']!r}: {100 * summary['success_last'].mean():.0f} % solved on the last "
+        f"step, {100 * summary['success'].mean():.0f} % successful"
     )
 
 

@@ -29,6 +29,7 @@ from myowarp.apps.studies.motion.plan import Piece, Study, plan_study, recording
 from myowarp.apps.studies.parts import LOCK, RESULTS, SUMMARY, agree, part, remove_damaged
 from myowarp.disk import check_folder, in_place, locked, make_folder, sentence, write_rows
 from myowarp.motion.draws import Drawn, Recording, draw_trial
+from myowarp.motion.residuals import SMALL, Residuals
 from myowarp.motion.storage import Storage, write_storage
 from myowarp.process import num_cores
 from myowarp.progress import progress_bar
@@ -36,6 +37,8 @@ from myowarp.progress import progress_bar
 if TYPE_CHECKING:
     import pandas as pd
 
+SHOWN = 3
+"""The worst trials, which are named."""
 FRAMES = 4096
 """Frames that are solved together, unless one draw has more."""
 LOW, HIGH = 0.05, 0.95
@@ -110,6 +113,9 @@ def run(
         ]
         write_rows(output / "failed.csv", [("trial", "why"), *failures.items()])
     total = len(study.trials)
+    own = [(piece.trial.name, piece.number) for piece in every if 0 in piece.draws and piece.trial in done]
+    for line in doubts(output, own):
+        console.print(line, markup=False)
     console.print(
         f"Saved {len(done)} of {total} trials, each with {study.draws} draws, in {output}", markup=False
     )
@@ -223,15 +229,49 @@ def _summary(keys: dict[str, list[Any]], recording: Recording, found: Drawn) -> 
     count, forces = len(found.draws), found.forces
     shape = count, len(recording.time), -1
     force = forces.force.reshape(shape)
+    roots = [Residuals.of(recording.bones, recording.time, moments) for moments in found.joint_moment]
     columns: dict[str, Any] = {
         **keys,
         "marker_rms": found.marker_rms,
         "feasible_share": forces.feasible.reshape(count, -1).mean(axis=1),
         "most_missing": np.abs(forces.missing.reshape(shape)).max(axis=(1, 2)),
         "most_reserve": np.abs(forces.reserve.reshape(shape)).max(axis=(1, 2)),
+        "root_force": [left.force[0] for left in roots],
+        "root_moment": [left.moment[0] for left in roots],
+        "root_force_per_weight": [left.force[0] / left.weight if left.weight else 0.0 for left in roots],
     }
     peaks = {f"peak_force.{muscle}": force[:, :, k].max(axis=1) for k, muscle in enumerate(found.muscles)}
     return pd.DataFrame(columns | peaks)
+
+
+def doubts(output: Path, trials: list[tuple[str, int]]) -> list[str]:
+    """Return residuals, and frames that muscles cannot hold, of the worst trials as they are.
+
+    Args:
+        output: Folder of the study.
+        trials: Name of each, and number of its part that has draw 0.
+    """
+    from pyarrow import parquet
+
+    columns = "root_force_per_weight", "root_force", "feasible_share"
+    rows: list[tuple[float, float, float, str]] = []
+    for name, number in trials:
+        table = parquet.read_table(part(output, SUMMARY, number))
+        if columns[0] in table.column_names:  # not in parts of before
+            first = table.column("draw").to_pylist().index(0)
+            share, force, held = (table.column(column)[first].as_py() for column in columns)
+            rows.append((share, force, held, name))
+    rows.sort(key=lambda row: (-row[0], row[2]))
+    lines = []
+    for share, force, held, name in rows[:SHOWN]:
+        if force:
+            check = ": check its loads, filter and model" if share > SMALL else ""
+            lines.append(
+                f"{name}: residuals at the root {force:.0f} N ({100.0 * share:.0f} % of the weight){check}"
+            )
+        if held < 1.0:
+            lines.append(f"{name}: muscles cannot hold {100.0 * (1.0 - held):.0f} % of the frames")
+    return lines
 
 
 def spread(output: Path, trial: str, parts: list[int]) -> Path:
