@@ -108,8 +108,8 @@ def _unknown_word() -> str:
                 break
             kinds = below
         elif not word.startswith("-"):
-            near = did_you_mean(word, kinds) or f"myowarp {typed}".strip() + " --help lists them"
-            return f"{f'{typed} has no step' if typed else 'there is no command'} {word!r}; {near}"
+            hint = did_you_mean(word, kinds) or f"myowarp {typed}".strip() + " --help lists them"
+            return f"{f'{typed} has no step' if typed else 'there is no command'} {word!r}; {hint}"
     else:
         return ""
     own = _options(kind)
