@@ -75,7 +75,7 @@ def learning() -> dict[str, Any]:
         "easy": len(easy),
         "good": len(good),
         "least": min(good),
-        "exception": "; ".join(exception(task) for task in easy if min(easy[task]) < LEARNED),
+        "exception": "".join("; " + exception(task) for task in easy if min(easy[task]) < LEARNED),
         "seeds": f"{min(counts)} to {max(counts)}",
         "hard": ", ".join(f"{name} {both(task)}" for task, name in HARD.items()),
         "speed": walking[0]["speed"],

@@ -20,7 +20,9 @@ SMALL = 0.05
 FAR = 0.5
 """Distance of a centre of pressure from the origin of its body [m] from which it is doubted."""
 LOADED = 0.5
-"""Share of a load's greatest force from which it is looked at."""
+"""Share of a load's greatest force from which its centre of pressure is looked at."""
+PUSHING = 0.25
+"""Share of the weight from which loads are said to carry the model."""
 OTHER = 0.1
 """Share of the weight from which loads that carry so much more or less are another person's."""
 HEAVY = 1000.0
@@ -39,11 +41,14 @@ class Residuals:
         weight: Of the model [N].
         force: The greatest force [N]; of no coordinate where none slides.
         moment: The greatest moment [N m], likewise.
+        carried: Sums over the frames in which recorded loads push up [N]: of what they carry, and of what
+            holds the model up, over its weight and acceleration.
     """
 
     weight: float
     force: Peak = NONE
     moment: Peak = NONE
+    carried: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
     def of(cls, bones: Bones, time: np.ndarray, given: np.ndarray) -> Residuals:
@@ -64,7 +69,9 @@ class Residuals:
 
     def among(self, other: Residuals) -> Residuals:
         """Return the greatest of these and others of the same model."""
-        return Residuals(self.weight, max(self.force, other.force), max(self.moment, other.moment))
+        loads, whole = (a + b for a, b in zip(self.carried, other.carried, strict=True))
+        peaks = max(self.force, other.force), max(self.moment, other.moment)
+        return Residuals(self.weight, *peaks, (loads, whole))
 
     @property
     def share(self) -> str:
@@ -74,27 +81,26 @@ class Residuals:
         return f"{force:.0f} N{part} at {name}, at {time:.4g} s"
 
     def lines(self) -> list[str]:
-        """Return the greatest force and the greatest moment in one line; none where nothing moves freely."""
+        """Return the greatest force and moment, if anything moves freely, and doubt whose loads they are."""
         said = [self.share] if self.force[1] else []
         if self.moment[1]:
             said.append(f"{self.moment[0]:.3g} N m at {self.moment[1]}, at {self.moment[2]:.4g} s")
-        return [f"residuals at the root: {'; '.join(said)}"] if said else []
+        lines = [f"residuals at the root: {'; '.join(said)}"] if said else []
+        loads, whole = self.carried
+        if whole > 0.0 and abs(loads / whole - 1.0) > OTHER:
+            lines.append(
+                f"loads carry {100.0 * loads / whole:.0f} % of the weight: is the model this person's?"
+            )
+        return lines
 
-    def doubt(self, loaded: bool, carried: float = 1.0) -> str:
-        """Return what is likely wrong with the loads, or that there are none; "": little is left.
-
-        Args:
-            loaded: Whether there are loads.
-            carried: Share of the weight that they carry, as of `carried`.
-        """
+    def doubt(self, loaded: bool) -> str:
+        """Return what is likely wrong with the loads, or that there are none; "": little is left."""
         if not self.force[0] > SMALL * self.weight:
             return ""
         if not loaded:
             return f"no external loads: {self.share}, carry the weight"
         left = f"more than {100.0 * SMALL:.0f} % of the weight is left at the root"
-        borne = f"; the loads carry {100.0 * carried:.0f} % of the weight: is the model this person's?"
-        doubtful = abs(carried - 1.0) > OTHER
-        return f"check sign, unit and bodies of the loads, and the filter: {left}{borne if doubtful else ''}"
+        return f"check sign, unit and bodies of the loads, and the filter: {left}"
 
 
 def mass_of(bones: Bones) -> float:
@@ -108,10 +114,8 @@ def too_heavy(bones: Bones) -> Iterator[str]:
         yield f"the model {bones.model.name!r} weighs {mass:,.0f} kg: are its masses in grams?"
 
 
-def carried(bones: Bones, needed: Needed, loads: Sequence[Load]) -> float:
-    """Return the share of what holds a model up, over weight and acceleration, that recorded loads give.
-
-    It is the median over the frames in which they push up most; 1 where none does, or no single root is free.
+def carried(bones: Bones, needed: Needed, loads: Sequence[Load]) -> tuple[float, float]:
+    """Return `Residuals.carried`; zeros where no load pushes, or no single root is free.
 
     Args:
         bones: The model.
@@ -122,17 +126,17 @@ def carried(bones: Bones, needed: Needed, loads: Sequence[Load]) -> float:
     roots = {model.joints[model.coordinates[name].joint].child for name in floating(model)}
     own = [load for load in loads if load.name and bones.number(load.body) >= 0]
     if len(roots) != 1 or not own or not gravity.any():
-        return 1.0
-    up, lift = -gravity / np.linalg.norm(gravity), np.zeros(len(needed.origin))
+        return 0.0, 0.0
+    pull = float(np.linalg.norm(gravity))
+    up, lift = -gravity / pull, np.zeros(len(needed.origin))
     for load in own:
         frame = bones.number(load.force_frame)
         turned = np.einsum("fij,fj->fi", needed.rotation[:, frame], load.force)
         lift += (turned if frame >= 0 else load.force) @ up
-    if (most := lift.max()) <= 0.0:
-        return 1.0
-    pushed = lift >= LOADED * most
-    whole = lift[pushed] + needed.force[pushed, bones.number(roots.pop())] @ up
-    return float(np.median(lift[pushed] / np.where(whole > 0.0, whole, np.inf)))
+    pushed = lift > PUSHING * mass_of(bones) * pull
+    return float(lift[pushed].sum()), float(
+        (lift + needed.force[:, bones.number(roots.pop())] @ up)[pushed].sum()
+    )
 
 
 def astray(bones: Bones, needed: Needed, loads: Sequence[Load]) -> Iterator[str]:

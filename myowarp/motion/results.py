@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -202,15 +202,18 @@ class JointMoments(AlongMotion):
     Attributes:
         needed: The moments, and what the model's own springs and contacts do.
         doubt: What is likely wrong with the loads, or stands for them; "": nothing.
+        carried: As of `myowarp.motion.residuals.Residuals`.
     """
 
     needed: Needed
     doubt: str
+    carried: tuple[float, float]
 
     @property
     def residuals(self) -> Residuals:
         """Disagreement of motion and loads, at roots."""
-        return Residuals.of(self.bones, self.motion.time, self.needed.joint_moment)
+        left = Residuals.of(self.bones, self.motion.time, self.needed.joint_moment)
+        return replace(left, carried=self.carried)
 
     def rows(self) -> Iterator[Row]:
         """Yield its tables."""

@@ -251,7 +251,8 @@ def dynamics(bones: Bones, setup: TrialSetup, part: Loaded | None = None) -> Joi
     motion = part or moved(bones, setup)
     loads = motion.loads(motion.time)
     needed = inverse_dynamics(bones, *motion.moved, loads)
-    return JointMoments(bones, motion, needed, doubted(bones, motion, needed, loads))
+    doubt = doubted(bones, motion, needed, loads)
+    return JointMoments(bones, motion, needed, doubt, carried(bones, needed, loads))
 
 
 def doubted(bones: Bones, motion: Loaded, needed: Needed, loads: Sequence[Load]) -> str:
@@ -264,8 +265,7 @@ def doubted(bones: Bones, motion: Loaded, needed: Needed, loads: Sequence[Load])
         loads: At its times.
     """
     left = Residuals.of(bones, motion.time, needed.joint_moment)
-    doubt = left.doubt(bool(loads), carried(bones, needed, loads))
-    said = [*filter(None, [doubt]), *astray(bones, needed, loads), *too_heavy(bones)]
+    said = [*filter(None, [left.doubt(bool(loads))]), *astray(bones, needed, loads), *too_heavy(bones)]
     if not motion.first:
         for sentence in said:
             logger.warning("%s", sentence)

@@ -274,7 +274,10 @@ def test_presets_are_of_tasks_and_within_bounds(name):
         (("--average", 1), "--average must be from 0.0 to 0.9999, got 1.0"),
         (("--start-share", 1.5), "--start-share must be from 0.0 to 1.0, got 1.5"),
         (("--precision", "float16"), "--precision 'float16' unknown; available: auto, bfloat16, float32"),
-        (("--bonus", "solved=4", "key=1"), "term of --bonus 'key' unknown; available: solved, success, pose"),
+        (
+            ("--bonus", "solved=4", "key=1"),
+            "term of --bonus 'key' unknown; available: solved, success, precision, pose",
+        ),
         (("--physics", "quick"), "physics 'quick' unknown; available: parity, fast"),
         (
             ("--num-worlds", 8, "--rollout-steps", 8, "--minibatches", 7),

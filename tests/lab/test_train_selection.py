@@ -59,7 +59,7 @@ def scripted(monkeypatch):
         return Found(success, success / 2, returns)
 
     monkeypatch.setattr(selection, "evaluate", found)
-    monkeypatch.setattr(selection, "bind", lambda checkpoint, sim: SimpleNamespace(checkpoint=checkpoint))
+    monkeypatch.setattr(selection, "Bound", lambda checkpoint, sim: SimpleNamespace(checkpoint=checkpoint))
     monkeypatch.setattr(selection, "evaluated_worlds", lambda job: Nothing())
     return wanted, policies
 
