@@ -107,6 +107,22 @@ def test_the_best_is_kept_and_plays(scripted, tmp_path, run):
     assert json.loads(out)["samples"] == 6 * ITERATION
 
 
+def test_no_run_plays_worse_than_its_parent(scripted, tmp_path):
+    """A parent that nothing exceeds is the best; it ends no training, however good it is."""
+    wanted, policies = scripted
+    wanted += [(0.25, 1.0)] * 6 + [(1.0, 5.0)] + [(0.5, 9.0)] * 6
+    run_of(tmp_path / "parent")
+    report = run_of(tmp_path / "child", parent=str(tmp_path / "parent"))
+    assert report["ended"] == "all samples"
+    assert len(policies) == 13
+    assert report["selection"]["best"] == {"samples": 0, "success": 1.0, "returns": 5.0}
+    child, parent = load_checkpoint(tmp_path / "child"), load_checkpoint(tmp_path / "parent")
+    assert child.folder == tmp_path / "child" / BEST / f"{0:012d}"
+    for name, array in parent.policy.items():
+        if name != "log_std":  # which a child begins with anew
+            np.testing.assert_allclose(child.policy[name], array, rtol=1e-6, atol=1e-7)
+
+
 def test_the_last_selection_stops_a_run(scripted, tmp_path):
     wanted, _ = scripted
     wanted += [(0.89, 1.0), (0.91, 0.0)]

@@ -150,6 +150,8 @@ def _iterate(job: Job, run: Run, selection: Selection, console: Console) -> str:
         warnings.catch_warnings(),
     ):
         warnings.filterwarnings("ignore", ".* was reset after a fault")  # the environment's; see below
+        if settings.parent and settings.selections and not run.samples:
+            _select(job, run, selection, console)  # no run plays worse than its parent
         while True:
             every = max(job.save_seconds, SAVE_COST * taken) if job.save_seconds else 0.0
             due = time.monotonic() - saved >= every
@@ -201,11 +203,11 @@ def _progress(job: Job, run: Run, selection: Selection, console: Console) -> Ite
 def _end(run: Run, selection: Selection) -> str:
     """Return what ends a run by itself, "" where nothing does: success of the last selection, or samples.
 
-    Without selections the success is that of the training.
+    Without selections the success is that of the training; a parent's ends nothing.
     """
     settings, last = run.settings, selection.last
     if settings.selections:
-        reached = last is not None and last.success >= settings.stop_success
+        reached = last is not None and last.samples > 0 and last.success >= settings.stop_success
     else:
         reached = run.worlds.tally.reached(settings.stop_success, settings.stop_rule)
     if reached:
