@@ -42,7 +42,11 @@ def weights(bonus: Sequence[str]) -> dict[str, float]:
 def names(spec: TaskSpec) -> tuple[str, ...]:
     """Return what can be weighed in a task."""
     terms = tuple(term.name for term in spec.reward_terms())
-    return (*OUTCOMES, *((PRECISION,) if _error(terms) and hasattr(spec, "near") else ()), *terms)
+    return (
+        *OUTCOMES,
+        *((PRECISION,) if set(ERRORS).intersection(terms) and hasattr(spec, "near") else ()),
+        *terms,
+    )
 
 
 def value(name: str, info: Mapping[str, torch.Tensor], spec: TaskSpec) -> torch.Tensor:
@@ -51,11 +55,6 @@ def value(name: str, info: Mapping[str, torch.Tensor], spec: TaskSpec) -> torch.
         return info[name].float()
     if name == PRECISION:
         near: float = getattr(spec, "near")  # noqa: B009 (not every task has one; `names` asks)
-        error = _error([term.name for term in spec.reward_terms()])
-        return (1.0 + info[f"terms/{error}"] / near).clamp_min(0.0)
+        minus_error = next(info[f"terms/{term}"] for term in ERRORS if f"terms/{term}" in info)
+        return (1.0 + minus_error / near).clamp_min(0.0)
     return info[f"terms/{name}"]
-
-
-def _error(terms: Sequence[str]) -> str:
-    """Return which term is minus the error; "" for none."""
-    return next((name for name in ERRORS if name in terms), "")
