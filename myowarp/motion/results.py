@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -201,19 +201,13 @@ class JointMoments(AlongMotion):
 
     Attributes:
         needed: The moments, and what the model's own springs and contacts do.
+        residuals: Disagreement of motion and loads, at roots.
         doubt: What is likely wrong with the loads, or stands for them; "": nothing.
-        carried: As of `myowarp.motion.residuals.Residuals`.
     """
 
     needed: Needed
+    residuals: Residuals
     doubt: str
-    carried: tuple[float, float]
-
-    @property
-    def residuals(self) -> Residuals:
-        """Disagreement of motion and loads, at roots."""
-        left = Residuals.of(self.bones, self.motion.time, self.needed.joint_moment)
-        return replace(left, carried=self.carried)
 
     def rows(self) -> Iterator[Row]:
         """Yield its tables."""

@@ -251,11 +251,12 @@ def dynamics(bones: Bones, setup: TrialSetup, part: Loaded | None = None) -> Joi
     motion = part or moved(bones, setup)
     loads = motion.loads(motion.time)
     needed = inverse_dynamics(bones, *motion.moved, loads)
-    doubt = doubted(bones, motion, needed, loads)
-    return JointMoments(bones, motion, needed, doubt, carried(bones, needed, loads))
+    left = Residuals.of(bones, motion.time, needed.joint_moment)
+    doubt = doubted(bones, motion, needed, loads, left)
+    return JointMoments(bones, motion, needed, replace(left, carried=carried(bones, needed, loads)), doubt)
 
 
-def doubted(bones: Bones, motion: Loaded, needed: Needed, loads: Sequence[Load]) -> str:
+def doubted(bones: Bones, motion: Loaded, needed: Needed, loads: Sequence[Load], left: Residuals) -> str:
     """Return what is likely wrong with the loads of a motion, and say it once; "": nothing is.
 
     Args:
@@ -263,8 +264,8 @@ def doubted(bones: Bones, motion: Loaded, needed: Needed, loads: Sequence[Load])
         motion: The motion, or a part of it.
         needed: What it takes.
         loads: At its times.
+        left: What they leave at the root.
     """
-    left = Residuals.of(bones, motion.time, needed.joint_moment)
     said = [*filter(None, [left.doubt(bool(loads))]), *astray(bones, needed, loads), *too_heavy(bones)]
     if not motion.first:
         for sentence in said:
@@ -374,7 +375,8 @@ def track(
     if unknown := set(setup.strength) - set(names):
         raise ValueError(f"muscle {sorted(unknown)[0]!r} unknown; available: {', '.join(names)}")
     loads = motion.loads(motion.time)
-    doubted(bones, motion, inverse_dynamics(bones, *motion.moved, loads), loads)
+    needed = inverse_dynamics(bones, *motion.moved, loads)
+    doubted(bones, motion, needed, loads, Residuals.of(bones, motion.time, needed.joint_moment))
     strength = np.array([setup.strength.get(name, 1.0) for name in names])
     if not ((strength >= 0.0) & np.isfinite(strength)).all():
         raise ValueError("the strength of a muscle must be at least 0 and finite")
