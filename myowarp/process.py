@@ -13,7 +13,7 @@ import signal
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from typing import ParamSpec, TypeVar
@@ -51,6 +51,12 @@ def with_build_lock(build: Callable[P, R]) -> Callable[P, R]:
             return build(*args, **kwargs)
 
     return waiting
+
+
+def listed(names: Sequence[str], most: int) -> str:
+    """Return names with commas, the first few of many and how many more there are."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return f"{', '.join(names[:most])}{more}"
 
 
 @cache

@@ -5,7 +5,6 @@ path was computed.
 """
 
 import abc
-import difflib
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
@@ -15,7 +14,7 @@ import numpy as np
 import warp as wp
 from mujoco import MjModel, mjtDyn
 
-from myowarp.definitions.registry import Registry
+from myowarp.definitions.registry import Registry, did_you_mean
 from myowarp.kernels.reset import masked_fill
 
 
@@ -318,8 +317,7 @@ def muscle_index(muscle: str, names: Sequence[str]) -> int:
     for name in (muscle, f"{muscle}_r"):
         if name in names:
             return list(names).index(name)
-    close = difflib.get_close_matches(str(muscle), names, n=3, cutoff=0.4)
-    hint = f"did you mean {', '.join(close)}?" if close else f"available: {', '.join(names)}"
+    hint = did_you_mean(muscle, names, cutoff=0.4) or f"available: {', '.join(names)}"
     raise ValueError(f"muscle {muscle!r} unknown; {hint}")
 
 

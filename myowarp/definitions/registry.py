@@ -25,9 +25,9 @@ def check_flag(name: str, value: object) -> None:
 MOST_LISTED = 30  # names in an error message
 
 
-def did_you_mean(name: object, known: Iterable[str]) -> str:
+def did_you_mean(name: object, known: Iterable[str], cutoff: float = 0.6) -> str:
     """Return a question with up to three names that are nearly the one that was typed; "" if none is."""
-    close = difflib.get_close_matches(str(name), list(known), n=3)
+    close = difflib.get_close_matches(str(name), list(known), n=3, cutoff=cutoff)
     return f"did you mean {', '.join(close)}?" if close else ""
 
 

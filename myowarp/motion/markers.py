@@ -19,6 +19,7 @@ import numpy as np
 from myowarp.disk import NUMBER, in_place
 from myowarp.motion.storage import Header, Storage, logger, rows_between
 from myowarp.motion.streams import Stream
+from myowarp.process import listed
 
 UNITS = {"mm": 1e-3, "millimeters": 1e-3, "cm": 1e-2, "centimeters": 1e-2, "m": 1.0, "meters": 1.0}
 """Metres of each unit, by lower-case name."""
@@ -202,15 +203,9 @@ def say_unmatched(known: Sequence[str], recorded: Markers) -> None:
         logger.warning(
             "the model has no marker called %s, and the recording none called %s; rename those that are the "
             "same: others do not count",
-            _listed(unknown),
-            _listed(unseen),
+            listed(unknown, SHOWN),
+            listed(unseen, SHOWN),
         )
-
-
-def _listed(names: Sequence[str]) -> str:
-    """Return the first of some names, and how many more there are."""
-    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return f"{', '.join(names[:SHOWN])}{more}"
 
 
 def write_trc(path: Path, markers: Markers) -> None:

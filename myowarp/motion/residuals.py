@@ -65,7 +65,7 @@ class Residuals:
             size = np.abs(given[:, bones.coordinates.index(name)])
             k, turns = int(size.argmax()), model.coordinates[name].rotational
             peaks[turns] = max(peaks[turns], (float(size[k]), name, float(time[k])))
-        return cls(mass_of(bones) * float(np.linalg.norm(model.gravity)), peaks[False], peaks[True])
+        return cls(model.mass * float(np.linalg.norm(model.gravity)), peaks[False], peaks[True])
 
     def among(self, other: Residuals) -> Residuals:
         """Return the greatest of these and others of the same model."""
@@ -103,14 +103,9 @@ class Residuals:
         return f"check sign, unit and bodies of the loads, and the filter: {left}"
 
 
-def mass_of(bones: Bones) -> float:
-    """Return the mass of a model [kg]."""
-    return sum(body.mass for body in bones.model.bodies.values())
-
-
 def too_heavy(bones: Bones) -> Iterator[str]:
     """Yield that a model weighs more than a person."""
-    if (mass := mass_of(bones)) > HEAVY:
+    if (mass := bones.model.mass) > HEAVY:
         yield f"the model {bones.model.name!r} weighs {mass:,.0f} kg: are its masses in grams?"
 
 
@@ -133,7 +128,7 @@ def carried(bones: Bones, needed: Needed, loads: Sequence[Load]) -> tuple[float,
         frame = bones.number(load.force_frame)
         turned = np.einsum("fij,fj->fi", needed.rotation[:, frame], load.force)
         lift += (turned if frame >= 0 else load.force) @ up
-    pushed = lift > PUSHING * mass_of(bones) * pull
+    pushed = lift > PUSHING * model.mass * pull
     return float(lift[pushed].sum()), float(
         (lift + needed.force[:, bones.number(roots.pop())] @ up)[pushed].sum()
     )

@@ -70,7 +70,7 @@ def read_walk(trial: Path, model: Path | None = None, loads: Path | None = None)
     values = dict(zip(bones.coordinates, motion.values.T, strict=True))
     frames = forward(bones.model, complete(bones.model, values, len(motion.time)))
     bodies = bones.model.bodies.values()
-    mass = sum(body.mass for body in bodies)
+    mass = bones.model.mass
     first_moments = [body.mass * station(frames, body.name, body.mass_center) for body in bodies]
     center = np.sum(first_moments, axis=0) / mass
     level = {side: frames[foot][1][:, [0, 2]] * (1.0, -1.0) for side, foot in feet.items()}

@@ -16,6 +16,7 @@ import numpy as np
 from myowarp.motion.storage import Storage, logger
 from myowarp.osim.document.model import Model
 from myowarp.osim.document.read.frames import TURN
+from myowarp.process import listed
 
 BEYOND = np.pi / 2
 """[rad] behind the end of a range from which, beyond a turn, an angle is doubted."""
@@ -108,9 +109,8 @@ class Angles:
                         "at its default"
                     )
         if unread:
-            more = f" and {len(unread) - SHOWN} more" if len(unread) > SHOWN else ""
-            self._say("columns", f"no coordinate of the model reads these columns of {str(self.path)!r}: "
-                      f"{', '.join(unread[:SHOWN])}{more}")  # fmt: skip
+            said = f"no coordinate of the model reads these columns of {str(self.path)!r}"
+            self._say("columns", f"{said}: {listed(unread, SHOWN)}")
         if held := self._held(table):
             self._say(
                 "locked",

@@ -28,6 +28,7 @@ from myowarp.motion.strides import GRAVITY
 from myowarp.motion.units import Angles
 from myowarp.osim.document.kinematics import floating
 from myowarp.osim.document.model import Model
+from myowarp.process import listed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -258,15 +259,14 @@ def _full(activations: Storage) -> list[tuple[str, bool]]:
     named = [f"{activations.labels[k]} ({count[k]})" for k in np.argsort(-count, kind="stable") if count[k]]
     if not named:
         return []
-    more = f" and {len(named) - LISTED} more" if len(named) > LISTED else ""
-    return [(f"Fully active, in frames of {len(activations.time)}: {', '.join(named[:LISTED])}{more}.", True)]
+    return [(f"Fully active, in frames of {len(activations.time)}: {listed(named, LISTED)}.", True)]
 
 
 def _bearing(reactions: Storage, model: Model) -> list[tuple[str, bool]]:
     if not reactions.labels:
         return []
     label, value, time = _peak(reactions)
-    weight = GRAVITY * sum(body.mass for body in model.bodies.values())
+    weight = GRAVITY * model.mass
     share = (
         f", {value / weight:.2g} times the weight of the model ({number(weight)} N)" if weight > 0.0 else ""
     )

@@ -28,7 +28,7 @@ from myowarp.osim.body.skeleton import Bones, Placement, Skeleton
 from myowarp.osim.document.elements import LEAST_TRANSITION
 from myowarp.osim.document.functions import IDENTITY, Function
 from myowarp.osim.document.model import GROUND, Loss, Model, Note
-from myowarp.process import warn_once
+from myowarp.process import listed, warn_once
 
 LISTED = 4
 """Coordinates that are named of what is left out."""
@@ -219,7 +219,7 @@ def _open(model: Model) -> list[str]:
     said = [_lost(model, note) for note in lost]
     for item in model.constraints:
         on = leading(model, coordinates_between(model, item.bodies))
-        said.append(f"{item.kind} constraint {item.name!r} ({_listed(on)})")
+        said.append(f"{item.kind} constraint {item.name!r} ({_on(on)})")
     return said
 
 
@@ -231,13 +231,12 @@ def _lost(model: Model, note: Loss) -> str:
         bodies = [name for name in (*model.bodies, GROUND) if name in note.names]
         bodies += [body for name, body in shapes.items() if name in note.names]
         moved = coordinates_between(model, bodies if len(set(bodies)) > 1 else [*bodies, GROUND])
-    return f"{note.code} {note.path.rpartition('/')[2]!r} ({_listed(leading(model, moved))})"
+    return f"{note.code} {note.path.rpartition('/')[2]!r} ({_on(leading(model, moved))})"
 
 
-def _listed(coordinates: Sequence[str]) -> str:
-    """Return the first coordinates of some, and how many more there are."""
-    more = f" and {len(coordinates) - LISTED} more" if len(coordinates) > LISTED else ""
-    return f"{', '.join(coordinates[:LISTED])}{more}" or "on which coordinates is not known"
+def _on(coordinates: Sequence[str]) -> str:
+    """Return the first coordinates of some, and how many more there are, or that none is known."""
+    return listed(coordinates, LISTED) or "on which coordinates is not known"
 
 
 def without(model: Model, names: Iterable[str]) -> tuple[Model, list[str]]:

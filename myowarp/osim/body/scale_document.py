@@ -298,7 +298,7 @@ def scale_document(
             RULES[element.tag](own, element, scaling)
     scaled = Document(document.model.source, document.root)
     growth = {name: length / before[name] for name, length in path_lengths(scaled.model).items()}
-    total = sum(body.mass for body in scaled.model.bodies.values())
+    total = scaled.model.mass
     if mass is not None and total <= 0.0:
         raise ValueError(f"model {scaled.model.name!r} has no mass that could become {mass:g} kg")
     for own, element in scaled.pairs:

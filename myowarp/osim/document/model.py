@@ -253,6 +253,11 @@ class Model:
     frames: Mapping[str, tuple[str, Pose]] = field(default_factory=dict)
     """Body of each frame whose name no other has, bodies and ground included, and the frame in it."""
 
+    @property
+    def mass(self) -> float:
+        """Of all bodies [kg]."""
+        return sum(body.mass for body in self.bodies.values())
+
 
 def pulling(model: Model) -> dict[str, Path]:
     """Return the paths of all muscles, ligaments and path actuators, by name."""

@@ -118,7 +118,7 @@ class Recorded:
         self._paths = [self._path(bones.model, name, poses) for name in self._muscles]
         self.courses = _courses(bones.model, angles, self.time, folder)
         self._known = self._of_muscles(bones.model)
-        self.mass = sum(body.mass for body in bones.model.bodies.values())
+        self.mass = bones.model.mass
         self.gravity = float(np.linalg.norm(self.model.opt.gravity))
         self.cycles: dict[str, tuple[float, float]] = {}
         self._arrows, self.newtons_per_metre = np.zeros((len(self.time), 0, 2, 3)), 0.0

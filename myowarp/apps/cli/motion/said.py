@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from myowarp.process import listed
+
 if TYPE_CHECKING:
     from myowarp.motion.emg import Comparison
     from myowarp.motion.residuals import Residuals
@@ -30,8 +32,8 @@ def of_scaling(scaled: Scaled) -> list[str]:
         lines += filter(None, [scaled.pose.doubt()])
     for name, (factor, _) in scaled.measured.items():
         lines.append(f"{name}: {factor:.4f}")
-    mass = sum(body.mass for body in scaled.document.model.bodies.values())
-    return [*lines, f"{mass:.1f} kg in {len(scaled.document.model.bodies)} bodies"]
+    model = scaled.document.model
+    return [*lines, f"{model.mass:.1f} kg in {len(model.bodies)} bodies"]
 
 
 def of_gaps(found: Gaps) -> list[str]:
@@ -65,10 +67,9 @@ def unknown_to(part: JointAngles) -> list[str]:
     left = [name for name in names if name not in part.bones.model.markers]
     if not left:
         return []
-    more = f" and {len(left) - SHOWN} more" if len(left) > SHOWN else ""
     wrong = "; is it the model of this trial?" if 2 * len(left) > len(names) else ""
-    some = f"{', '.join(left[:SHOWN])}{more}"
-    return [f"{len(left)} of {len(names)} markers are not in the model, and left out: {some}{wrong}"]
+    said = f"{len(left)} of {len(names)} markers are not in the model, and left out"
+    return [f"{said}: {listed(left, SHOWN)}{wrong}"]
 
 
 def of_sensors(parts: Iterable[JointAngles]) -> list[str]:

@@ -7,8 +7,11 @@ from pathlib import Path
 from myowarp.apps.reports.essay import sections
 from myowarp.apps.studies.audit.measure import Audit
 from myowarp.apps.studies.audit.runs import EARLY_STEPS
+from myowarp.process import listed
 
 TEXTS = Path(__file__).with_suffix(".md")
+MOST = 8
+"""Names in a finding."""
 Value = float | None
 
 
@@ -117,17 +120,11 @@ FIGURES = (
 def findings(audit: Audit) -> list[str]:
     """Return what speaks against the task, a sentence each."""
     named = {
-        "constant columns": _shortened(audit.constant_columns),
-        "silent terms": _shortened(_weighted_silent(audit)),
+        "constant columns": listed(audit.constant_columns, MOST),
+        "silent terms": listed(_weighted_silent(audit), MOST),
     }
     bad = [figure for figure in FIGURES if figure.is_bad(audit)]
     return [figure.finding(named.get(figure.head, figure.text(audit))) for figure in bad]
-
-
-def _shortened(names: tuple[str, ...], most: int = 8) -> str:
-    """Return names with commas, the first few of many."""
-    rest = len(names) - most
-    return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def changes(audit: Audit, upstream: Audit | None) -> Iterator[tuple[Figure, str, str]]:

@@ -15,6 +15,7 @@ from myowarp.osim.bundle.couplings import REGULAR, regularity
 from myowarp.osim.document.dynamics import equations
 from myowarp.osim.document.kinematics import independent
 from myowarp.osim.document.model import Model
+from myowarp.process import listed
 
 LIGHT = 1e5
 """rad/s^2 or m/s^2 by 1 N m or N: coordinates of published models that move have at most 1e4."""
@@ -58,10 +59,9 @@ def too_fast(model: Model) -> list[str]:
         names = sorted(thrown, key=lambda name: -np.abs(thrown[name]).max())
         given = thrown[names[0]]
         size = _size(model, free[int(np.abs(given).argmax())], given)
-        listed = ", ".join(names[:LISTED]) + (f" and {len(names) - LISTED} more" * (len(names) > LISTED))
         said.append(
-            f"at full control motors throw light bodies, by up to {size}, which may end in faults: {listed}; "
-            "give them less optimal force, or bound their controls"
+            f"at full control motors throw light bodies, by up to {size}, which may end in faults: "
+            f"{listed(names, LISTED)}; give them less optimal force, or bound their controls"
         )
     return said
 
