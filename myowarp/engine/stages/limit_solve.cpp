@@ -44,42 +44,62 @@ bool has_limits_only(Counts& counts, Rows& rows, int world, int n, Limit* limits
     return true;
 }
 
-template <class V, class Inertia, class Options, class Row, class Rows, class Result>
-void solve_limits_block(Block<V>& block, Inertia& inertia, Options& options, Row& M, Row& qfrc_smooth,
-                        Row& qacc_warmstart, const Limit* limits, Rows& rows, Row& qacc, Row& qfrc_constraint,
-                        Result& result) {
+// Newton's method on H = M + D in the worlds of a block; each pointer is to a value of every dof.
+template <class V, class Inertia> struct LimitNewton {
     typedef decltype(widen(V())) W;
     typedef typename MaskOf<V>::type Truth;
     typedef decltype(W() < W()) WideTruth;
-    constexpr int NUM_LANES = LanesOf<V>::number;
-    const int n = qacc.shape[1], num_entries = M.shape[1];
-    const int *begins = inertia.M_rowadr.data, *sizes = inertia.M_rownnz.data;
-    const int* columns = inertia.M_colind.data;
-    const V zero = splat<V>(0.0f);
-    const W none = widen(zero);
-    const V *mass = block.in(M), *smooth = block.in(qfrc_smooth), *start = block.in(qacc_warmstart);
-    V *x = block.template out<V>(qacc), *pull = block.template out<V>(qfrc_constraint);
-    V *Mx = block.template out<V>(result.Ma), *L = block.take(num_entries), *inverse_pivot = block.take(n);
-    V *gradient = block.take(n), *search = block.take(n), *Ms = block.take(n), *change = block.take(n);
-    V *residual = block.take(n), *force = block.take(n), *weight = block.take(n);
-    V *D = block.take(n), *J = block.take(n), *aref = block.take(n);
-    V num_rows = zero;
-    for (int i = 0; i < n; ++i)
-        D[i] = aref[i] = weight[i] = zero;
-    for (int lane = 0; lane < NUM_LANES; ++lane) {
-        const int world = block.first + (lane < block.count ? lane : block.count - 1);
-        for (int i = 0; i < n; ++i) {
-            const Limit limit = limits[world * n + i];
-            in_lane(J[i], lane) = limit.J;
-            if (limit.row < 0)
-                continue;
-            in_lane(num_rows, lane) += 1.0f;
-            in_lane(D[i], lane) = row_of(rows.D, world)[limit.row];
-            in_lane(aref[i], lane) = row_of(rows.aref, world)[limit.row];
-        }
+
+    Inertia& inertia;
+    const int n, num_entries;
+    const int *begins, *sizes, *columns;
+    const V *mass, *smooth, *start;
+    V *x, *pull, *Mx, *L, *inverse_pivot, *gradient, *search, *Ms, *change, *residual, *force, *weight;
+    V *D, *J, *aref;
+    const V zero;
+    const W none;
+    V num_rows, iterations, scale, tolerance;
+    W smooth_slope, smooth_curvature;  // of the cost without rows, along `search`
+    Truth unfinished, unbracketed, busy;
+
+    template <class Options, class Row, class Result>
+    LimitNewton(Block<V>& block, Inertia& inertia, Options& options, Row& M, Row& qfrc_smooth,
+                Row& qacc_warmstart, Row& qacc, Row& qfrc_constraint, Result& result)
+        : inertia(inertia), n(qacc.shape[1]), num_entries(M.shape[1]), begins(inertia.M_rowadr.data),
+          sizes(inertia.M_rownnz.data), columns(inertia.M_colind.data), mass(block.in(M)),
+          smooth(block.in(qfrc_smooth)), start(block.in(qacc_warmstart)), x(block.template out<V>(qacc)),
+          pull(block.template out<V>(qfrc_constraint)), Mx(block.template out<V>(result.Ma)),
+          L(block.take(num_entries)), inverse_pivot(block.take(n)), gradient(block.take(n)),
+          search(block.take(n)), Ms(block.take(n)), change(block.take(n)), residual(block.take(n)),
+          force(block.take(n)), weight(block.take(n)), D(block.take(n)), J(block.take(n)),
+          aref(block.take(n)), zero(splat<V>(0.0f)), none(widen(zero)), num_rows(zero),
+          iterations(zero), tolerance(block.model(options.tolerance)[0]), unfinished(zero != zero),
+          unbracketed(unfinished), busy(unfinished) {
+        V trace = zero;
+        for (int i = 0; i < n; ++i)
+            trace += mass[begins[i] + sizes[i] - 1];
+        scale = 1.0f / larger(trace, splat<V>(TINY));
     }
 
-    auto multiply = [&](const V* v, V* to) {  // by M
+    template <class Rows> void fetch(const Block<V>& block, const Limit* limits, Rows& rows) {
+        for (int i = 0; i < n; ++i)
+            D[i] = aref[i] = weight[i] = zero;
+        for (int lane = 0; lane < LanesOf<V>::number; ++lane) {
+            const int world = block.first + (lane < block.count ? lane : block.count - 1);
+            for (int i = 0; i < n; ++i) {
+                const Limit limit = limits[world * n + i];
+                in_lane(J[i], lane) = limit.J;
+                if (limit.row < 0)
+                    continue;
+                in_lane(num_rows, lane) += 1.0f;
+                in_lane(D[i], lane) = row_of(rows.D, world)[limit.row];
+                in_lane(aref[i], lane) = row_of(rows.aref, world)[limit.row];
+            }
+        }
+        busy = num_rows > 0.0f;
+    }
+
+    void multiply(const V* v, V* to) {  // by M
         for (int i = 0; i < n; ++i) {
             const int begin = begins[i], diagonal = begin + sizes[i] - 1;
             V sum = mass[diagonal] * v[i];
@@ -89,15 +109,19 @@ void solve_limits_block(Block<V>& block, Inertia& inertia, Options& options, Row
             }
             to[i] = sum;
         }
-    };
-    auto dot = [&](const V* a, const V* b) {
+    }
+
+    V dot(const V* a, const V* b) {
         V sum = zero;
         for (int i = 0; i < n; ++i)
             sum += a[i] * b[i];
         return sum;
-    };
+    }
+
+    Truth below_tolerance(V value) { return (scale * value >= tolerance) == 0; }  // of NaN, too
+
     // Forces at the present residual, their share of H, and the gradient; returns whose H has changed.
-    auto update = [&]() {
+    Truth update() {
         Truth changed = zero != zero;
         for (int i = 0; i < n; ++i) {
             const auto satisfied = residual[i] >= 0.0f;
@@ -109,23 +133,25 @@ void solve_limits_block(Block<V>& block, Inertia& inertia, Options& options, Row
             gradient[i] = Mx[i] - smooth[i] - pull[i];
         }
         return changed;
-    };
-    auto refactorize = [&]() {
+    }
+
+    void refactorize() {
         for (int k = 0; k < num_entries; ++k)
             L[k] = mass[k];
         for (int i = 0; i < n; ++i)
             L[begins[i] + sizes[i] - 1] += weight[i];
         factorize(inertia, n, L, inverse_pivot);
-    };
-    auto newton = [&]() {  // search = -H^-1 gradient; returns gradient' H^-1 gradient
+    }
+
+    V direction() {  // search = -H^-1 gradient; returns gradient' H^-1 gradient
         for (int i = 0; i < n; ++i)
             search[i] = -gradient[i];
         substitute(inertia, n, L, inverse_pivot, search);
         return -dot(gradient, search);
-    };
+    }
+
     // The cost along x + step search: its slope and curvature, and how much it falls from step 0.
-    W smooth_slope, smooth_curvature;
-    auto probe = [&](W step, W& slope, W& curvature) {
+    void probe(W step, W& slope, W& curvature) {
         slope = smooth_slope + step * smooth_curvature;
         curvature = smooth_curvature;
         for (int i = 0; i < n; ++i) {
@@ -134,23 +160,31 @@ void solve_limits_block(Block<V>& block, Inertia& inertia, Options& options, Row
             slope += select(satisfied, none, v * d * r);
             curvature += select(satisfied, none, v * v * d);
         }
-    };
-    auto improvement = [&](W step) {
+    }
+
+    V improvement(W step) {
         W falls = none;
         for (int i = 0; i < n; ++i) {
             const W r = widen(residual[i]), d = 0.5 * widen(D[i]), after = r + step * widen(change[i]);
             falls += select(r >= none, none, d * r * r) - select(after >= none, none, d * after * after);
         }
         return narrow(falls - step * (smooth_slope + 0.5 * step * smooth_curvature));
-    };
-    Truth unfinished = zero != zero, unbracketed = unfinished, busy = num_rows > 0.0f;
-    auto find_step = [&]() {
+    }
+
+    W find_step(int most) {
+        multiply(search, Ms);
+        smooth_slope = smooth_curvature = none;
+        for (int i = 0; i < n; ++i) {
+            change[i] = J[i] * search[i];
+            smooth_slope += widen(search[i]) * (widen(Mx[i]) - widen(smooth[i]));
+            smooth_curvature += widen(search[i]) * widen(Ms[i]);
+        }
         W slope, curvature, low = none, high = none + 3.4e38;
         probe(none, slope, curvature);
         Truth searching = busy & narrow((slope >= none) == 0);
         const W enough = -1e-9 * slope;
         W step = select(slope >= none, none, -slope / curvature);
-        for (int i = 0; i < options.ls_iterations && any(searching); ++i) {
+        for (int i = 0; i < most && any(searching); ++i) {
             probe(step, slope, curvature);
             const WideTruth steep = (slope > enough) | (slope < -enough), falling = slope < none;
             searching = searching & narrow(steep);
@@ -162,81 +196,90 @@ void solve_limits_block(Block<V>& block, Inertia& inertia, Options& options, Row
         }
         unbracketed = unbracketed | searching;
         return step;
-    };
+    }
 
-    V trace = zero;
-    for (int i = 0; i < n; ++i) {
-        x[i] = select(busy, start[i], zero);
-        trace += mass[begins[i] + sizes[i] - 1];
-    }
-    const V scale = 1.0f / larger(trace, splat<V>(TINY));
-    const V tolerance = block.model(options.tolerance)[0];
-    // Of NaN, too: nothing to gain.
-    auto below_tolerance = [&](V value) { return (scale * value >= tolerance) == 0; };
-    multiply(x, Mx);
-    for (int i = 0; i < n; ++i)
-        residual[i] = J[i] * x[i] - aref[i];
-    update();
-    V norm = root(dot(gradient, gradient)), iterations = zero;
-    refactorize();
-    V decrement = newton();
-    for (int i = 0; i < n; ++i) {  // without rows, a Newton step from rest is the solution
-        x[i] = select(busy, x[i], search[i]);
-        Mx[i] = select(busy, Mx[i], smooth[i]);
-    }
-    for (int iteration = 1; any(busy); ++iteration) {
-        multiply(search, Ms);
-        smooth_slope = smooth_curvature = none;
-        for (int i = 0; i < n; ++i) {
-            change[i] = J[i] * search[i];
-            smooth_slope += widen(search[i]) * (widen(Mx[i]) - widen(smooth[i]));
-            smooth_curvature += widen(search[i]) * widen(Ms[i]);
+    V begin() {  // at the start given; worlds without rows are solved by it
+        for (int i = 0; i < n; ++i)
+            x[i] = select(busy, start[i], zero);
+        multiply(x, Mx);
+        for (int i = 0; i < n; ++i)
+            residual[i] = J[i] * x[i] - aref[i];
+        update();
+        refactorize();
+        const V decrement = direction();
+        for (int i = 0; i < n; ++i) {  // without rows, a Newton step from rest is the solution
+            x[i] = select(busy, x[i], search[i]);
+            Mx[i] = select(busy, Mx[i], smooth[i]);
         }
-        const W step = find_step();
-        const V gain = improvement(step), moved = narrow(step);
-        for (int i = 0; i < n; ++i) {  // finished worlds stay
+        return decrement;
+    }
+
+    void go(V moved) {  // finished worlds stay
+        for (int i = 0; i < n; ++i) {
             x[i] = select(busy, x[i] + moved * search[i], x[i]);
             Mx[i] = select(busy, Mx[i] + moved * Ms[i], Mx[i]);
             residual[i] = select(busy, residual[i] + moved * change[i], residual[i]);
         }
-        iterations = select(busy, splat<V>((float)iteration), iterations);
+    }
 
-        const Truth flipped = update();
-        const V present = root(dot(gradient, gradient)), remaining = absolute(narrow(1.0 - step));
-        norm = select(flipped, present, norm * remaining);  // along a quadratic cost it only shrinks
-        decrement = decrement * remaining * remaining;
-        const Truth gained = (gain > 0.0f) & below_tolerance(gain);
-        const Truth small = (flipped == 0) & below_tolerance(0.5f * decrement);
-        busy = busy & ((narrow(step == none) | gained | small | below_tolerance(norm)) == 0);
-        if (!any(busy))
-            break;
-        if (any(flipped & busy))
-            refactorize();
-        decrement = newton();
-        norm = present;
-        busy = busy & ((flipped & below_tolerance(0.5f * decrement)) == 0);
-        if (iteration == options.iterations) {
-            unfinished = busy;
-            break;
+    void solve(int most_iterations, int most_steps) {
+        V decrement = begin(), norm = root(dot(gradient, gradient));
+        for (int iteration = 1; any(busy); ++iteration) {
+            const W step = find_step(most_steps);
+            const V gain = improvement(step);
+            go(narrow(step));
+            iterations = select(busy, splat<V>((float)iteration), iterations);
+
+            const Truth flipped = update();
+            const V present = root(dot(gradient, gradient)), remaining = absolute(narrow(1.0 - step));
+            norm = select(flipped, present, norm * remaining);  // along a quadratic cost it only shrinks
+            decrement = decrement * remaining * remaining;
+            const Truth gained = (gain > 0.0f) & below_tolerance(gain);
+            const Truth small = (flipped == 0) & below_tolerance(0.5f * decrement);
+            busy = busy & ((narrow(step == none) | gained | small | below_tolerance(norm)) == 0);
+            if (!any(busy))
+                break;
+            if (any(flipped & busy))
+                refactorize();
+            decrement = direction();
+            norm = present;
+            busy = busy & ((flipped & below_tolerance(0.5f * decrement)) == 0);
+            if (iteration == most_iterations) {
+                unfinished = busy;
+                break;
+            }
         }
     }
 
-    block.store(qacc, x, 0, n);
-    block.store(qfrc_constraint, pull, 0, n);
-    block.store(result.Ma, Mx, 0, n);
-    for (int lane = 0; lane < block.count; ++lane) {
-        const int world = block.first + lane;
-        result.niter.data[world] = (int)in_lane(iterations, lane);
-        result.overflow.data[world] |= at(unfinished, lane) ? ITERATIONS_OVERFLOW : 0;
-        result.overflow.data[world] |= at(unbracketed, lane) ? LINE_SEARCH_OVERFLOW : 0;
-        for (int dof = 0; dof < n; ++dof) {
-            const int row = limits[world * n + dof].row;
-            if (row < 0)
-                continue;
-            row_of(result.force, world)[row] = in_lane(force[dof], lane);
-            const bool satisfied = in_lane(weight[dof], lane) == 0.0f;
-            ((int*)row_of(result.state, world))[row] = satisfied ? SATISFIED : QUADRATIC;
+    template <class Result> void publish(const Block<V>& block, const Limit* limits, Result& result) {
+        for (int lane = 0; lane < block.count; ++lane) {
+            const int world = block.first + lane;
+            result.niter.data[world] = (int)in_lane(iterations, lane);
+            result.overflow.data[world] |= at(unfinished, lane) ? ITERATIONS_OVERFLOW : 0;
+            result.overflow.data[world] |= at(unbracketed, lane) ? LINE_SEARCH_OVERFLOW : 0;
+            for (int dof = 0; dof < n; ++dof) {
+                const int row = limits[world * n + dof].row;
+                if (row < 0)
+                    continue;
+                row_of(result.force, world)[row] = in_lane(force[dof], lane);
+                const bool satisfied = in_lane(weight[dof], lane) == 0.0f;
+                ((int*)row_of(result.state, world))[row] = satisfied ? SATISFIED : QUADRATIC;
+            }
         }
     }
+};
+
+template <class V, class Inertia, class Options, class Row, class Rows, class Result>
+void solve_limits_block(Block<V>& block, Inertia& inertia, Options& options, Row& M, Row& qfrc_smooth,
+                        Row& qacc_warmstart, const Limit* limits, Rows& rows, Row& qacc, Row& qfrc_constraint,
+                        Result& result) {
+    LimitNewton<V, Inertia> newton(block, inertia, options, M, qfrc_smooth, qacc_warmstart, qacc,
+                                   qfrc_constraint, result);
+    newton.fetch(block, limits, rows);
+    newton.solve(options.iterations, options.ls_iterations);
+    block.store(qacc, newton.x, 0, newton.n);
+    block.store(qfrc_constraint, newton.pull, 0, newton.n);
+    block.store(result.Ma, newton.Mx, 0, newton.n);
+    newton.publish(block, limits, result);
 }
 }  // namespace lanes
