@@ -280,27 +280,33 @@ class PathMemory:
         self._polynomials = wp.array(np.flatnonzero(in_lanes), dtype=int)
         self._others = wp.array(np.flatnonzero(~in_lanes), dtype=int)
         self._scratch = wp.empty((max(values, 1) + 1) * WIDEST, dtype=wp.float64)
+        self._allocate(len(bodies), values, place, len(wraps), len(moving), len(variables))
+
+    def _allocate(
+        self, bodies: int, values: int, places: int, wraps: int, moving: int, variables: int
+    ) -> None:
+        """Allocate what is read, worked in and written, as many of each in every world."""
         self.frames, self.memory, self.pulls = Frames(), Followed(), Pulls()
         real, vec, mat = wp.float64, wp.vec3d, wp.mat33d
         for owner, name, columns, kind in (
-            (self.frames, "origin", len(bodies), vec),
-            (self.frames, "rotation", len(bodies), mat),
+            (self.frames, "origin", bodies, vec),
+            (self.frames, "rotation", bodies, mat),
             (self.frames, "value", values, real),
-            (self.memory, "order", place, int),
-            (self.memory, "location", place, vec),
-            (self.memory, "cached", place, vec),
-            (self.memory, "arc", len(wraps), real),
-            (self.pulls, "length", len(paths), real),
-            (self.pulls, "size", len(paths), int),
+            (self.memory, "order", places, int),
+            (self.memory, "location", places, vec),
+            (self.memory, "cached", places, vec),
+            (self.memory, "arc", wraps, real),
+            (self.pulls, "length", self.number, real),
+            (self.pulls, "size", self.number, int),
             (self.pulls, "force", self.handles[-1], vec),
             (self.pulls, "torque", self.handles[-1], vec),
             (self.pulls, "twist", self.handles[-1], vec),
-            (self.pulls, "along", len(moving), vec),
-            (self.pulls, "within", len(moving), vec),
-            (self.pulls, "by_variable", len(variables), real),
-            (self.pulls, "jumps", len(paths), int),
+            (self.pulls, "along", moving, vec),
+            (self.pulls, "within", moving, vec),
+            (self.pulls, "by_variable", variables, real),
+            (self.pulls, "jumps", self.number, int),
         ):
-            setattr(owner, name, wp.zeros((worlds, max(columns, 1)), dtype=kind))
+            setattr(owner, name, wp.zeros((self.worlds, max(columns, 1)), dtype=kind))
 
     def points(self, world: int) -> list[np.ndarray]:
         """Return the points of every path as last followed in a world, wrap points too [m], (n, 3) each."""
