@@ -263,6 +263,7 @@ def test_charts():
     assert picture[16:24] == bytes([0, 0, 0, 3, 0, 0, 0, 2])
 
 
+@pytest.mark.slow
 def test_without_scipy_the_geometry_is_converted(tmp_path):
     """In a process of its own, where nothing has imported SciPy before; sidecars of another model go."""
     for name in command.SIDECARS:

@@ -144,6 +144,7 @@ def test_a_world_does_not_depend_on_its_neighbours(tmp_path):
     np.testing.assert_array_equal(together[17:18], one)
 
 
+@pytest.mark.slow
 def test_a_motion_is_that_of_opensim():
     """From rest: the cart hits its stop, the knee its own, ligaments hold and swing."""
     coordinates = CoordinateMap.read(load(MODEL).with_name("coordinates.json"))

@@ -187,6 +187,7 @@ def test_an_engine_without_numbers_fails(leg):
     assert len(gates) == 1 + 2 * 2 + sum(map(len, COORDINATES.values()))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not GAIT.is_file(), reason="needs the public models")
 def test_psoas_and_iliacus_are_found(tmp_path, monkeypatch):
     """Two hip flexors whose conditional points no wrap of ours replaces, behind a mean that hides them."""

@@ -226,6 +226,7 @@ with locked(Path(sys.argv[1]), wait=False):
 """
 
 
+@pytest.mark.slow
 def test_the_lock_of_a_killed_process_is_taken_over(tmp_path):
     path = tmp_path / ".lock"
     command = [sys.executable, "-c", HOLDER, str(path)]

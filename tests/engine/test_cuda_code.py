@@ -38,6 +38,7 @@ def assert_as_in_table(found):
             assert value <= SLACK * known, f"{name}: {value} {field}, {known} in the table"
 
 
+@pytest.mark.slow
 def test_kernels_of_ours_in_a_step_of_the_hand(tmp_path):
     nodes = [node for node in step_nodes(cuda_shard(HAND, PARITY)) if node.name in OURS]
     found = compile_nodes(nodes, tmp_path)

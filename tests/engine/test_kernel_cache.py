@@ -161,6 +161,7 @@ def start(**environment):
     return done.stdout.splitlines(), done.stderr.splitlines()
 
 
+@pytest.mark.slow
 def test_home_that_cannot_be_written(tmp_path):
     """Warp itself ends with an OSError there."""
     temporary = tmp_path / "temporary"
@@ -172,6 +173,7 @@ def test_home_that_cannot_be_written(tmp_path):
     assert line.endswith("is used; set WARP_CACHE_PATH to a folder that can be written")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(wp.is_cuda_available(), reason="for machines without a GPU")
 def test_machine_without_gpu():
     """Nothing is said about CUDA until somebody asks for it."""

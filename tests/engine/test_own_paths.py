@@ -88,6 +88,7 @@ def test_tendons_are_opensims_paths(name, within, tmp_path):
     assert np.abs(straight - expected.length).max() > 1000 * TOLERANCE
 
 
+@pytest.mark.slow
 def test_worlds_do_not_depend_on_neighbours_and_stages_are_verified(tmp_path):
     """Three worlds and the same one alone; the engine's own stages go on beside paths of ours."""
     _, path = written(tmp_path, "leg6dof9musc")

@@ -5,6 +5,8 @@ import subprocess
 import sys
 from functools import cache
 
+import pytest
+
 SCRIPT = """
 import gc, json, sys
 import warp._src.context as context
@@ -30,6 +32,7 @@ def imported(mode="on"):
     return json.loads(done.stdout.splitlines()[-1])
 
 
+@pytest.mark.slow
 def test_references_are_not_searched():
     """Those of functions that are defined later are: these may be defined anew."""
     found = imported()
@@ -37,6 +40,7 @@ def test_references_are_not_searched():
     assert found["restored"]
 
 
+@pytest.mark.slow
 def test_garbage_is_collected_as_before():
     """A library does not freeze the heap of its host; the command may."""
     on, off = imported(), imported("off")

@@ -221,6 +221,7 @@ else:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 def test_exit_and_fork():
     """Neither the end of the interpreter nor a forked process waits for threads for ever."""

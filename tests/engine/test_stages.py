@@ -76,6 +76,7 @@ class Standstill(Stage):
         wp.copy(data.qpos, before)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", often(SCENES, ONE_PER_BODY))
 def test_all_that_apply_are_used(key, caplog, monkeypatch, tmp_path):
     """The self-check finds every stage equal to the stock step: none is left out, none is logged.

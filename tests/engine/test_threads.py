@@ -47,6 +47,7 @@ def build_and_play(seed):
     return seen if signals is None else np.append(seen, signals.muscles.force.numpy())
 
 
+@pytest.mark.slow
 def test_built_at_once_as_built_in_turn():
     seeds = range(2 * NUM_THREADS)
     expected = [build_and_play(seed) for seed in seeds]
@@ -58,9 +59,10 @@ def test_built_at_once_as_built_in_turn():
     np.testing.assert_array_equal(build_and_play(0), expected[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
-    [{"shards": 1}, {"shards": 2}, pytest.param({"shards": 1, "graph": False}, marks=pytest.mark.slow)],
+    [{"shards": 1}, {"shards": 2}, {"shards": 1, "graph": False}],
 )
 def test_stepped_while_another_thread_builds(options):
     """Its first step, too, which starts the threads of the parts."""

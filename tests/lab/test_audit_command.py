@@ -34,6 +34,7 @@ def reach():
     return audit(TASKS[REACH], 1, device="cpu")
 
 
+@pytest.mark.slow
 def test_findings_and_changes(reach):
     """A corrected version beside upstream's: what is shown otherwise, and only that."""
     better = replace(
@@ -136,6 +137,7 @@ def test_audit_refuses_bad_arguments(options, sentence):
         audit(TASKS[ELBOW], **options)
 
 
+@pytest.mark.slow
 def test_command_writes_json_and_page(run, tmp_path):
     names = [f"MyoWarp/{ELBOW}", "paperElbowPoseHardN-v0"]
     options = ("--num-worlds", 2, "--device", "cpu", "--output", tmp_path / "new" / "folder")

@@ -147,6 +147,7 @@ def test_a_baseline_acts_wherever_a_policy_is_taken(run, tmp_path):
     assert status == 0, err
 
 
+@pytest.mark.slow
 def test_a_run_becomes_a_baseline(run, tmp_path, monkeypatch):
     """Its policy, figures and curve; a second seed is a row more, the first seed again takes its place.
 
@@ -270,6 +271,7 @@ def made(tmp_path_factory):
     return folder / "baselines"
 
 
+@pytest.mark.slow
 def test_run_remakes_a_baseline_and_compares(made, run, tmp_path, monkeypatch):
     """Bit for bit, on the processor that made it: it stops by itself after as many samples."""
     monkeypatch.setattr(baselines, "FOLDER", made)
@@ -311,6 +313,7 @@ def test_run_says_when_a_baseline_is_not_reached(made, run, tmp_path, monkeypatc
     assert "at least 100.1 % are needed" in words
 
 
+@pytest.mark.slow
 def test_listing_and_playing_import_no_torch():
     code = f"""
 import sys

@@ -106,10 +106,11 @@ def test_an_error_in_line_100_has_no_picture(run):
     assert "file 'model.osim:100: no such line.py' does not exist" in err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "words",
     [
-        pytest.param(("describe", ELBOW), marks=pytest.mark.slow),
+        ("describe", ELBOW),
         ("motion", "dynamics", "examples/arm.osim", "--motion", "examples/arm_bend.mot", "-o", "{out}"),
     ],
     ids=lambda words: words[0],
@@ -496,6 +497,7 @@ def graphics():
         pytest.skip(str(error))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("graphics")
 def test_video(rollout, tmp_path):
     """Two of three worlds side by side, a frame a step and one of the start."""
@@ -548,12 +550,14 @@ def test_command_in_a_process_of_its_own(tmp_path):
     assert not any(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_error_of_a_process_of_its_own(tmp_path):
     done = shell("rollout", ELBOW, "--device", "cuda:77", cwd=tmp_path)
     result = (done.returncode, done.stdout, done.stderr)
     assert_one_sentence(result, "device 'cuda:77' is not available; available: ")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "arguments", often([("tasks", "--paper"), ("view", "--help")], [("tasks", "--paper")])
 )

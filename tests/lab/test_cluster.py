@@ -31,6 +31,7 @@ def double(number):
     return 2 * number
 
 
+@pytest.mark.slow
 def test_only_nodes_that_fit_work(node, monkeypatch, tmp_path, caplog):
     """In one test, because a cluster takes seconds to start."""
     dead = node | {"NodeID": "ab" * 28, "NodeManagerAddress": "192.0.2.7"}

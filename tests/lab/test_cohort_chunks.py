@@ -94,6 +94,7 @@ def test_ten_thousand_patients_once_each_whatever_dies(cluster, tmp_path):
     check_same(output, table)
 
 
+@pytest.mark.slow
 def test_damaged_chunks_are_simulated_again(run, tmp_path, monkeypatch):
     """Without Ray: the chunks are simulated here, one after the other."""
     simulated = []

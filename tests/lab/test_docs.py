@@ -98,6 +98,8 @@ MARKS = {
     "myowarp train myoHandKeyTurnRandom-v0 --parent": "slow",  # from what that has found
     "myowarp score": "slow",  # a whole episode of legs
     "myowarp export runs/filmed": "slow",  # what that has trained
+    "myowarp audit --output": "slow",  # steps every registered id
+    "myowarp audit --paper": "slow",
     "myowarp baselines run": "slow",  # trains an elbow to the end
     "myowarp reproduce exo1": "slow",  # trains, and measures for minutes
     "myowarp sweep examples/study.yaml --dry-run": "",  # only says what it would do
@@ -504,6 +506,7 @@ def test_the_site_is_built_without_a_warning(tmp_path):
     assert all(f'id="{key}"' in anchors for key in IDS)
 
 
+@pytest.mark.slow
 def test_the_site_has_a_page_of_each_family_and_names_every_page(monkeypatch):
     """What the built site is made of: pages that are written, and a navigation that lists the others."""
     pytest.importorskip("sphinx")

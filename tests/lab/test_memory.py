@@ -63,6 +63,7 @@ def played(folder, sim, steps=12):
     return np.array(actions)
 
 
+@pytest.mark.slow
 def test_whoever_is_told_acts_alike_wherever_more_or_less_is_observed(told):
     own = played(told, simulation("parameters"))
     for observe in ((), ("history=3",), ("parameters", "history=3")):
@@ -70,6 +71,7 @@ def test_whoever_is_told_acts_alike_wherever_more_or_less_is_observed(told):
     assert (own != played(told, simulation("parameters", conditions=("sarcopenia(strength=1.0)",)))).any()
 
 
+@pytest.mark.slow
 def test_a_student_imitates_who_is_told(told, student):
     """Its actions follow its teacher's in the same states, where it was told nothing."""
     assert load_checkpoint(student).manifest["settings"]["observe"] == ["history=4"]

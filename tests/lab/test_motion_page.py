@@ -104,6 +104,7 @@ def test_residuals_are_those_of_a_floating_root(tmp_path):
     assert named(text, "Joint moments") == ["knee_angle_r_moment"]
 
 
+@pytest.mark.slow
 def test_a_panel_for_each_column(tmp_path):
     """Pictures grow by rows up to the most that are drawn, and show what changes."""
     few, most = (

@@ -341,6 +341,7 @@ def test_what_is_read_at_second_hand_is_in_the_key(tool, file):
     assert len(seen) == 3
 
 
+@pytest.mark.slow
 def test_a_study_begins_again_where_a_file_at_second_hand_changed(tool):
     table = pd.DataFrame([{"trial": "a", "model": str(ARM), "motion": "bend.mot", "loads": "push.xml"}])
     table.to_csv(tool / "t.csv", index=False)

@@ -60,6 +60,7 @@ def test_the_last_frame_of_an_episode_is_its_own(films):
     assert abs(returns[HORIZON]) > 0.1
 
 
+@pytest.mark.slow
 def test_films_stand_side_by_side(films, tmp_path):
     try:
         write(tmp_path / "a.mp4", films)
@@ -75,6 +76,7 @@ def test_films_stand_side_by_side(films, tmp_path):
     assert about["size"] == (2 * 64 + 2, 48)
 
 
+@pytest.mark.slow
 def test_what_the_reader_turns_holds_every_body_at_every_step(films, tmp_path):
     """Viser's own format: size, then compressed the length of the messages, messages with times, arrays."""
     write(tmp_path / "a.viser", films)

@@ -214,6 +214,7 @@ class Cues:
         return step
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("memory", "least", "most"), [(8, 0.8, 1.0), (0, 0.0, 0.3)])
 def test_it_learns_to_keep_what_was_seen_once(memory, least, most):
     """Without a memory a sixth of the steps can be right, and the others no more than 0 on average."""

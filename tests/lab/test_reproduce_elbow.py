@@ -98,6 +98,7 @@ def test_an_experiment_writes_all_it_should(name, found):
     assert len((folder / "table.csv").read_text().splitlines()) == len(result["merits"]) + 1
 
 
+@pytest.mark.slow
 def test_a_run_is_not_repeated(found, tmp_path, monkeypatch):
     """Its arrays come from the folder; other settings and damaged files are refused, or replaced if asked."""
     folder, result = found("exo1")

@@ -69,6 +69,7 @@ def claims(result):
     return {claim["claim"][:40]: claim["verdict"] for claim in result["claims"]}
 
 
+@pytest.mark.slow
 def test_what_a_tear_takes_is_missed(found):
     """One policy of two worlds: nothing is decided; torn muscles of the thumb take what extensors do not."""
     result, _ = found("tear")

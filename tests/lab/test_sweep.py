@@ -188,6 +188,7 @@ def test_a_dry_run_counts_and_starts_nothing(run, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_two_sweeps_in_one_folder(run, tmp_path):
     from myowarp.disk import locked
 
@@ -234,6 +235,7 @@ def test_intervals_are_students_over_seeds_and_wilsons_of_one(tmp_path):
     assert np.isnan((row["low"], row["high"])).all(), "all its episodes were the same"
 
 
+@pytest.mark.slow
 def test_without_ray_a_message_names_what_to_install(run, tmp_path, monkeypatch):
     find = __import__("importlib.util").util.find_spec
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "ray" else find(name))

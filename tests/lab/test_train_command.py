@@ -140,6 +140,7 @@ def test_a_cohort_is_driven_by_it(learned, run, tmp_path):
     assert float(weak["mean_activation"]) != float(well["mean_activation"])
 
 
+@pytest.mark.slow
 def test_a_training_ends_with_a_video(run, tmp_path, monkeypatch):
     """The trained policy acts in it, or a word says what is missing."""
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
@@ -429,6 +430,7 @@ def test_a_cohort_learns_together(tmp_path):
     assert abs(well - weak) > 1e-3
 
 
+@pytest.mark.slow
 def test_episodes_start_in_a_state(tmp_path, run):
     """Worlds take the states in turn, and again after every episode; a resumed run goes on alike."""
     env = MyoWarpVectorEnv(ELBOW, 3, device="cpu", progress=False)
@@ -759,6 +761,7 @@ def test_a_full_disk_ends_the_run_with_one_sentence(run, tmp_path, monkeypatch):
     assert checkpoints.load_checkpoint(folder).manifest["samples"] == 0
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no such limit")
 def test_files_that_may_not_grow_end_the_run_with_one_sentence(run, tmp_path):
     import resource

@@ -251,6 +251,7 @@ def test_what_cannot_be_exported_is_said(output, missing, sentence, run, tmp_pat
     assert [file.name for file in tmp_path.iterdir()] == ["there.onnx"]
 
 
+@pytest.mark.slow
 def test_playing_imports_no_torch(tmp_path):
     for kind in KINDS:
         learner, manifest = train(kind)

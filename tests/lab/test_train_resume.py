@@ -77,6 +77,7 @@ def rows(run):
         return [{k: v for k, v in row.items() if k not in TIMES} for row in csv.DictReader(file)]
 
 
+@pytest.mark.slow
 def test_killed_and_resumed_is_undisturbed(killed, run, tmp_path):
     at = samples_of(killed)
     if "--start-share" in ALGORITHMS[killed.name]:

@@ -259,6 +259,7 @@ def test_draws_and_tracking_feel_springs(tmp_path):
     np.testing.assert_allclose(np.einsum("njk,nk->nj", mass, a) + bias, theirs, atol=TOLERANCE)
 
 
+@pytest.mark.slow
 def test_tracking_drives_motors(tmp_path):
     """With a spring and motors the arm stays on its motion, and motors take load off its muscles."""
     reserves = dict.fromkeys(RECORDED["coordinates"], 1.0)
@@ -313,6 +314,7 @@ def title(path):
     return path.read_text().partition("\n")[0]
 
 
+@pytest.mark.slow
 def test_the_commands(tmp_path, capsys):
     """Moments, what springs and motors give, what a set-up file excludes; files of another model go."""
     names = f"{RECORDED['driven']}+unknown"

@@ -112,6 +112,7 @@ def test_a_full_disk_in_the_middle_of_a_step(tmp_path, run):
     assert not any((tmp_path / "out").iterdir())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", often([signal.SIGINT, signal.SIGKILL], [signal.SIGINT]))
 def test_a_kill_leaves_the_old_table(tmp_path, number):
     """Ctrl-C cleans up; what a killed process leaves is hidden, and swept when the folder is next used."""

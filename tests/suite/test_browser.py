@@ -421,6 +421,7 @@ def test_nothing_moves_while_no_page_is_open(page):
     assert steps(live) == halted
 
 
+@pytest.mark.slow
 def test_traffic_is_bounded(page, client, monkeypatch):
     """With room for a fifth of what is moved, fewer frames are sent, not more bytes."""
     live = page[0]

@@ -211,6 +211,7 @@ class Asked(Wishes):
         pass
 
 
+@pytest.mark.slow
 def test_a_slow_browser_sees_the_trial_move(recorded, monkeypatch):
     """Where a picture takes longer than the trial, frames still follow one another."""
     server = open_server(0, "test")

@@ -123,6 +123,7 @@ np.save(sys.argv[3], np.stack(rows))
 """
 
 
+@pytest.mark.slow
 def test_another_process_goes_on(tmp_path):
     """Three worlds of an environment in three places of another one, in a process of its own."""
     env = gym.make_vec(ID, num_envs=4, device="cpu", progress=False, conditions="fatigue_3ccr")

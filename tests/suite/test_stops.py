@@ -56,6 +56,7 @@ def fallen(task):
     return np.array(angles[9::10]), scene.oracle
 
 
+@pytest.mark.slow
 def test_without_stops_a_rod_falls_on(rod):
     """As the pendulum of the textbook does; with stops it stays within its range."""
     inertia = 0.03 + 2 * 0.3**2
