@@ -287,7 +287,7 @@ def find_folder(path: Path, *, learning: bool = False) -> Path:
         found = [folder for folder in folders if folder.name.isdecimal() and (folder / MANIFEST).is_file()]
         if found:
             return max(found, key=lambda folder: folder.name)
-    absent = "" if path.is_dir() else ", and this one does not exist"
+    absent = "" if path.exists() else ", and this one does not exist"
     raise CheckpointError(
         f"{str(path)!r} holds no checkpoint; a run's folder has {FOLDER}/<samples>/{MANIFEST}{absent}; the "
         "package's policies are baselines/ID"
