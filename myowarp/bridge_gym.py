@@ -407,7 +407,8 @@ class MyoWarpVectorEnv(VectorEnv):
         if isinstance(seed, (int, np.integer)) and not isinstance(seed, bool):
             first = int(seed) + self.sim.scene.worlds.offset
             seed = [first + i for i in range(self.num_envs)]
-        ordered = isinstance(seed, Iterable) and not isinstance(seed, (str, bytes, Set, Mapping))
+        several = isinstance(seed, Iterable) and getattr(seed, "ndim", 1) > 0
+        ordered = several and not isinstance(seed, (str, bytes, Set, Mapping))
         seeds: list[Any] = list(seed) if ordered else self.num_envs * [seed]  # type: ignore[arg-type]
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed must have one entry for each of {self.num_envs} worlds, got {len(seeds)}")

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from myowarp.motion.results import Result
-from myowarp.motion.storage import Storage, Tables
+from myowarp.motion.storage import Storage, Tables, logger
 
 BAND = (20.0, 450.0)
 """Frequencies of a surface electromyogram [Hz]; the upper one is at most 0.45 times the rate."""
@@ -29,6 +29,12 @@ ORDER = 2
 
 DELAYS = (0.0, 0.15)
 """By which an activation may follow its electromyogram [s]."""
+
+SHARED = 0.5
+"""Time that both have at least [s]: three periods of the envelope, below which any two are alike."""
+
+FAINT = 0.02
+"""Share of a recording's standard deviation in the band below which it is no raw electromyogram."""
 
 UNEVEN = 0.01
 """Share of the time step by which steps may differ."""
@@ -114,6 +120,15 @@ def envelopes(recording: Storage, smooth: float = SMOOTH) -> Storage:
         raise ValueError(
             f"the electromyogram is too short to filter, got {len(recording.time)} rows"
         ) from error
+    for name, whole, part in zip(
+        recording.labels, recording.values.std(axis=0), raw.std(axis=0), strict=True
+    ):
+        if part < FAINT * whole:
+            logger.warning(
+                "column %r of the electromyogram has %.2g %% of its deviation between %g and %g Hz: is it an "
+                "envelope already?",
+                *(name, 100.0 * part / whole, *BAND),
+            )
     most = smoothed.max(axis=0)
     return Storage(recording.labels, recording.time, smoothed / np.where(most > 0.0, most, 1.0))
 
@@ -135,6 +150,14 @@ def agreement(envelope: Storage, activation: Storage, delays: Sequence[float] = 
             f"the electromyogram has no column of a muscle; it has {', '.join(envelope.labels)}, muscles are "
             f"{', '.join(activation.labels)}"
         )
+    spans = [(one.time[0], one.time[-1]) for one in (envelope, activation)]
+    begins, ends = zip(*spans, strict=True)
+    if min(ends) - max(begins) < SHARED:
+        (first, last), (begin, end) = spans
+        raise ValueError(
+            f"the electromyogram, from {first:.4g} to {last:.4g} s, and the activations, from {begin:.4g} to "
+            f"{end:.4g} s, must share {SHARED:g} s; give both the same clock"
+        )
     tried = np.arange(delays[0], delays[1] + 1e-9, 1e-3)
     found = []
     for name in shared:
@@ -144,7 +167,7 @@ def agreement(envelope: Storage, activation: Storage, delays: Sequence[float] = 
         for k, delay in enumerate(tried):
             there = activation.time - delay
             inside = (there >= envelope.time[0]) & (there <= envelope.time[-1])
-            if inside.sum() < 3:
+            if not inside.any() or np.ptp(there[inside]) < SHARED:
                 continue
             pair = np.interp(there[inside], envelope.time, wanted), own[inside]
             if min(map(np.ptp, pair)) > 0.0:

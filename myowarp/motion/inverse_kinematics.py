@@ -27,6 +27,7 @@ from myowarp.kernels.batching import batched
 from myowarp.kernels.cholesky import eliminated, substitute
 from myowarp.kernels.launch import launch
 from myowarp.motion.markers import Markers
+from myowarp.motion.storage import logger
 from myowarp.osim.body.parts import in_parts
 from myowarp.osim.body.skeleton import Bones, Placement, Skeleton, place, station
 from myowarp.osim.document.read.frames import TURN
@@ -497,9 +498,16 @@ def inverse_kinematics(
     weights = _checked(bones, recorded, marker_weights)
     used = tuple(weights)
     seen = recorded.positions[:, [recorded.names.index(name) for name in used]]
-    if not (np.isfinite(seen).all(axis=2).sum(axis=1) >= FEWEST).any():
+    blind = np.isfinite(seen).all(axis=2).sum(axis=1) < FEWEST
+    if blind.all():
         raise ValueError(
             f"no frame shows {FEWEST} markers with a weight; the recording has {', '.join(recorded.names)}"
+        )
+    if blind.any() and near is None:
+        logger.warning(
+            "%d of %d frames show fewer than %d markers with a weight, first at %.4g s, and have a pose of "
+            "the frames beside; fill them with --fill, or leave them out with --span",
+            *(blind.sum(), len(blind), FEWEST, recorded.time[blind.argmax()]),
         )
     with wp.ScopedDevice(bones.device):
         targets, bounds = targets_of(bones, len(seen), coordinate_weights or {}, coordinate_values or {})

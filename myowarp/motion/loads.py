@@ -12,6 +12,7 @@ from myowarp.motion.inverse_dynamics import Load
 from myowarp.motion.setup_words import body_of, file_of, stated
 from myowarp.motion.storage import Storage, logger, read_storage
 from myowarp.motion.streams import Stream
+from myowarp.motion.units import doubtful_times
 from myowarp.osim.body.skeleton import Bones
 from myowarp.osim.document.model import GROUND
 from myowarp.osim.document.read.element import Element, parse
@@ -134,6 +135,9 @@ class Loads:
         if source is None:
             raise ValueError(f"{str(path)!r} names no <datafile>; give the file of the recorded forces")
         self._recording = Stream(source) if forwards else read_storage(source)
+        if isinstance(self._recording, Storage):
+            for doubt in doubtful_times(source, self._recording.time):
+                logger.warning("%s", doubt)
 
     def close(self) -> None:
         """Close the recording."""

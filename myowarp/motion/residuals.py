@@ -18,7 +18,8 @@ from myowarp.osim.document.kinematics import floating
 SMALL = 0.05
 """Share of the weight up to which a residual is not doubted."""
 FAR = 0.5
-"""Distance of a centre of pressure from the origin of its body [m] from which it is doubted."""
+"""Distance of a centre of pressure from the origin of its body [m] from which it is doubted; and lever at
+which a force turns as much as a torque from which that is."""
 LOADED = 0.5
 """Share of a load's greatest force from which its centre of pressure is looked at."""
 PUSHING = 0.25
@@ -135,7 +136,7 @@ def carried(bones: Bones, needed: Needed, loads: Sequence[Load]) -> tuple[float,
 
 
 def astray(bones: Bones, needed: Needed, loads: Sequence[Load]) -> Iterator[str]:
-    """Yield which recorded loads act far from their bodies.
+    """Yield which recorded loads act far from their bodies, or turn them more than their forces can.
 
     Args:
         bones: The model.
@@ -154,3 +155,6 @@ def astray(bones: Bones, needed: Needed, loads: Sequence[Load]) -> Iterator[str]
         if (most := float(off[size >= LOADED * size.max()].max())) > FAR:
             place = f"the centre of pressure of {load.name!r} is {most:.2g} m from {load.body}"
             yield f"{place}: wrong foot or unit?"
+        if (turning := float(np.linalg.norm(load.torque, axis=1).max())) > FAR * size.max():
+            sizes = f"{turning:.3g} N m, beside a force of {size.max():.3g} N at most"
+            yield f"the torque of {load.name!r} goes to {sizes}: is it in N mm?"

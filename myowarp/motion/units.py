@@ -7,7 +7,7 @@ said then; the file is refused where its header does not decide.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -30,6 +30,12 @@ ALIKE = 0.8
 """Share of two names from which one may be the other, misspelt (difflib's ratio)."""
 SLOW, LASTING = 5.0, 60.0
 """Rate [Hz] below which, and length [s] beyond which times are hardly seconds."""
+EVEN, MOST = 0.25, 0.9
+"""Share of the usual step by which others may differ, and of the steps which do not, in even recordings."""
+MISSING = 2.5
+"""Usual steps from which one is a gap; through the place of a single frame splines go well enough."""
+HALF_TURN = np.pi
+"""[rad] that no joint turns from one row to the next; angles of arc tangents do, where they wrap."""
 HELD = 1e-3
 """[rad] or [m] that a recording may have a locked coordinate from its default."""
 SHOWN = 5
@@ -48,8 +54,23 @@ def hardly_seconds(path: Path, time: np.ndarray) -> str:
     if lasts <= LASTING or rate >= SLOW:
         return ""
     return (
-        f"the motion of {str(path)!r} lasts {lasts:.4g} s at {rate:.2g} Hz; is its time in ms, or in percent?"
+        f"the recording {str(path)!r} lasts {lasts:.4g} s at {rate:.2g} Hz; is its time in ms, or in percent?"
     )
+
+
+def doubtful_times(path: Path, time: np.ndarray) -> Iterator[str]:
+    """Yield what is doubtful of the times of a recording through which splines go, shape (rows,)."""
+    if doubt := hardly_seconds(path, time):
+        yield doubt
+    steps = np.diff(time)
+    usual = np.median(steps) if len(steps) else 0.0
+    if usual and steps.max() > MISSING * usual and np.mean(np.abs(steps - usual) <= EVEN * usual) >= MOST:
+        gap = int(steps.argmax())
+        yield (
+            f"{str(path)!r} has no rows between {time[gap]:.4g} and {time[gap + 1]:.4g} s "
+            f"({steps[gap] / usual - 1.0:.0f} are missing), which a spline bridges; fill the gap, or cut the "
+            "file there"
+        )
 
 
 class Angles:
@@ -117,8 +138,8 @@ class Angles:
                 f"locked in the model, and not where {str(self.path)!r} has it: {', '.join(held[:SHOWN])}; "
                 "OpenSim's inverse dynamics moves it all the same: unlock it if it moves",
             )
-        if doubt := hardly_seconds(self.path, table.time):
-            self._say("time", doubt)
+        if doubts := [*doubtful_times(self.path, table.time)]:
+            self._say("time", "; ".join(doubts))
 
     def _held(self, table: Storage) -> list[str]:
         """Return the locked coordinates that a table has elsewhere."""
@@ -175,6 +196,15 @@ class Angles:
             )
         elif not table.unit and not table.in_degrees:
             self._say("unit", f"{path!r} is read in radians: its header does not say inDegrees")
+        for name, x in () if beyond else turning.items():
+            turns = np.abs(scale * np.diff(x))
+            if turns.max(initial=0.0) > HALF_TURN:
+                k = int(turns.argmax())
+                self._say(
+                    "jump",
+                    f"{name} of {path!r} goes from {x[k]:.4g} to {x[k + 1]:.4g} {unit} in one step, from "
+                    f"{table.time[k]:.4g} s on, which a spline follows; unwrap it",
+                )
 
     def _still(self, most: dict[str, float]) -> bool:
         """Whether angles hardly leave 0 in degrees, and are a pose within all ranges in radians."""

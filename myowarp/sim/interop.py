@@ -99,8 +99,15 @@ class ActionInput:
             if tensor.device.type != "cpu":
                 self._action.assign(wp.from_torch(tensor.float().contiguous()))
                 return
-            actions = tensor.float().numpy()
-        host = np.asarray(actions)
+            # NumPy has no bfloat16; what is larger than float32 holds is clipped below.
+            actions = (tensor if tensor.dtype.itemsize == 8 else tensor.float()).numpy()
+        try:
+            host = np.asarray(actions)
+        except (ValueError, RuntimeError) as error:  # rows of several lengths, or parts that are no arrays
+            raise ValueError(
+                f"actions must be floating point of shape {self._action.shape}, got {type(actions).__name__} "
+                "that is no array"
+            ) from error
         self._check(host.dtype, host.dtype.kind == "f", host.shape)
         finite = np.isfinite(host)
         if np.count_nonzero(finite) < finite.size:

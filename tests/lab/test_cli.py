@@ -346,6 +346,20 @@ def test_policy_of_the_user(rollout, tmp_path, monkeypatch, kind):
     assert (tmp_path / "runs").read_text() == "once"
 
 
+def test_policy_of_torch(rollout, tmp_path, monkeypatch):
+    """What a network returns knows its gradient, and is an action all the same."""
+    torch = pytest.importorskip("torch")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "net.py").write_text(
+        "import torch\n\nnet = torch.nn.Linear(9, 6)\nact = lambda obs: net(torch.from_numpy(obs)).tanh()\n"
+    )
+    torch.manual_seed(0)
+    rollout("--policy", "net.py:act", "--steps", 3, "--save", "data.npz")
+    action = np.load("data.npz")["action"]
+    assert action.dtype == np.float32
+    assert np.ptp(action) > 0.5
+
+
 def test_fast_physics_takes_fewer_steps(rollout):
     per_step = []
     for physics in ("parity", "fast"):
@@ -423,6 +437,14 @@ BAD_LATER = {
         ["--policy", "policy.py:narrow"],
         "actions must be floating point of shape (2, 6), got float64 of shape (2, 5)",
     ),
+    "no actions": (
+        ["--policy", "policy.py:nothing"],
+        "policy 'policy.py:nothing' must return actions of shape (2, 6), got None; does it end with return?",
+    ),
+    "actions and a state": (
+        ["--policy", "policy.py:pair"],
+        "actions must be floating point of shape (2, 6), got tuple that is no array",
+    ),
 }
 
 
@@ -453,7 +475,8 @@ def test_refusal(run, monkeypatch, tmp_path, case):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     (tmp_path / "policy.py").write_text(
-        "import numpy as np\n\nnarrow = lambda obs: np.zeros((len(obs), 5))\n"
+        "import numpy as np\n\nnarrow = lambda obs: np.zeros((len(obs), 5))\nnothing = lambda obs: None\n"
+        "pair = lambda obs: (np.zeros((len(obs), 6)), None)\n"
     )
     arguments, sentence = BAD_LATER[case]
     arguments = [*([] if "--num-worlds" in arguments else ["--num-worlds", "2"]), *arguments]

@@ -9,6 +9,7 @@ import os
 import pickle
 import re
 import shlex
+import shutil
 import signal
 import time
 from importlib import resources
@@ -598,6 +599,47 @@ def test_the_best_policy_alone_does_not_go_on(tiny, run, tmp_path):
 def test_a_damaged_state_is_refused_when_a_run_goes_on(copy, run):
     flip(copy / "state.safetensors")
     assert "state.safetensors does not have its checksum" in said(run("train", "--resume", copy))
+
+
+@pytest.mark.parametrize("lost", ["\0\0\0\0\n", "x6,2,nan\n", "\n", "\xff,1\n", "12"])
+def test_a_run_goes_on_where_lines_of_its_progress_were_lost(lost, tiny, run, tmp_path):
+    """As a disk leaves them that lost its power; the checkpoint, which was flushed, is whole."""
+    folder = tmp_path / "lost"
+    shutil.copytree(tiny, folder)
+    lines = (folder / "progress.csv").read_text().splitlines(keepends=True)
+    (folder / "progress.csv").write_bytes("".join([*lines, lost]).encode("latin-1"))
+    status, _, err = run("train", "--resume", folder, "--samples", 192)
+    assert status == 0, err
+    now = (folder / "progress.csv").read_text().splitlines(keepends=True)
+    assert now[:-1] == lines
+    assert [row["samples"] for row in csv.DictReader(now)] == ["64", "128", "192"]
+
+
+def test_a_progress_without_names_is_left_alone(tiny, run, tmp_path):
+    folder = tmp_path / "other"
+    shutil.copytree(tiny, folder)
+    resaved = (folder / "progress.csv").read_text().replace(",", ";")
+    (folder / "progress.csv").write_text(resaved)
+    assert said(run("train", "--resume", folder, "--samples", 192)) == (
+        f"{str(folder / 'progress.csv')!r} must begin with the names of its columns, samples first, got "
+        "'samples;updates;seconds;return;length;su'; restore it, or move it away, and resume again"
+    )
+    assert (folder / "progress.csv").read_text() == resaved
+
+
+def test_copies_of_a_checkpoint_are_the_users(tiny, run, tmp_path):
+    """Neither resumed, though their names are the last ones, nor deleted with the checkpoints before."""
+    folder = tmp_path / "kept"
+    shutil.copytree(tiny, folder)
+    last = checkpoints.find_folder(folder, learning=True)
+    copies = [last.with_name(name) for name in (f"{last.name} (copy)", "my_best")]
+    for copied in copies:
+        shutil.copytree(last, copied)
+        (copied / "policy.safetensors").write_bytes(b"")
+    (last.parent / f"{2 * 128:012d}{checkpoints.TEMPORARY}").mkdir()
+    status, _, err = run("train", "--resume", folder, "--samples", 192)
+    assert status == 0, err
+    assert {path.name for path in last.parent.iterdir()} == {f"{192:012d}", *(path.name for path in copies)}
 
 
 def wide(policy, name, array):

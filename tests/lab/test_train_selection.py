@@ -6,6 +6,7 @@ import errno
 import io
 import json
 import os
+import shutil
 import signal
 from types import SimpleNamespace
 
@@ -177,6 +178,21 @@ def test_a_resumed_run_goes_on_with_the_same_best(scripted, tmp_path, run):
     assert len(list((tmp_path / BEST).iterdir())) == 1
     shown = [float(row["selection_success"]) for row in rows(tmp_path)][1:]
     np.testing.assert_array_equal(shown, [*np.repeat([0.25, 0.75, 0.5, 0.75, 0.8], 2), 0.5])
+
+
+def test_a_best_policy_that_is_gone_is_not_waited_for(scripted, tmp_path, caplog):
+    """A later one is kept, though the lost one was better; before, nothing was, and the last one played."""
+    wanted, _ = scripted
+    wanted += [(0.25, 1.0), (0.75, 2.0), (0.5, 5.0), (0.5, 1.0), (0.6, 0.0), (0.5, 0.0)]
+    stopped(tmp_path, updates=7)
+    shutil.rmtree(tmp_path / BEST)
+    report = train(plan(resume=tmp_path))
+    assert report["selection"]["best"] == {"samples": 10 * ITERATION, "success": 0.6, "returns": 0.0}
+    assert load_checkpoint(tmp_path).manifest["samples"] == 10 * ITERATION
+    assert [record.getMessage() for record in caplog.records] == [
+        f"the best policy of {str(tmp_path)!r}, after {4 * ITERATION} samples, is gone; the next evaluation "
+        "is the first that counts"
+    ]
 
 
 def stopped(folder, updates):

@@ -87,6 +87,32 @@ def test_bad_recordings(change, message):
         envelopes(change(recording()))
 
 
+@pytest.mark.parametrize("later", [2.55, 3.4, 100.0])
+def test_clocks_of_their_own_are_refused(later):
+    """Two curves that share three frames correlate by 0.9 and more, whatever they are."""
+    sought, found = envelopes(recording()), activations(0.05)
+    delayed = Storage(found.labels, found.time + later, found.values)
+    message = (
+        rf"from 0 to 3.999 s, and the activations, from {0.5 + later:.4g} to .* s, must share 0.5 s; give"
+    )
+    if later > 3.0:
+        with pytest.raises(ValueError, match=message):
+            agreement(sought, delayed)
+        return
+    *_, one = agreement(sought, delayed)
+    assert np.isfinite(one.correlation)
+
+
+def test_envelopes_are_no_raw_recordings(caplog):
+    raw = recording()
+    smooth = np.stack([bursts(TIME, phase) for phase in (0.0, 0.3)], axis=1)
+    mixed = Storage(raw.labels[:2], TIME, np.stack([raw.values[:, 0], smooth[:, 1]], axis=1))
+    envelopes(mixed)
+    (said,) = (record.getMessage() for record in caplog.records)
+    assert said.startswith("column 'tib_ant_r' of the electromyogram has ")
+    assert said.endswith(" % of its deviation between 20 and 450 Hz: is it an envelope already?")
+
+
 def test_no_muscle_in_common():
     with pytest.raises(ValueError, match="has no column of a muscle; it has soleus_r"):
         agreement(envelopes(recording()), Storage(("psoas_r",), TIME, np.ones((len(TIME), 1))))

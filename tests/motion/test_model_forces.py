@@ -22,7 +22,7 @@ from myowarp.motion.joint_reactions import joint_reactions
 from myowarp.motion.loads import prescribed_loads
 from myowarp.motion.movement import write_angles
 from myowarp.motion.muscle_forces import muscle_forces
-from myowarp.motion.residuals import Residuals, too_heavy
+from myowarp.motion.residuals import Residuals, astray, too_heavy
 from myowarp.motion.setup import TrialSetup
 from myowarp.motion.smooth import derivatives
 from myowarp.motion.steps import dynamics
@@ -393,6 +393,21 @@ def test_masses_in_grams_are_doubted():
 LOADS = """<ExternalLoads name="l"><objects><ExternalForce name="ground"><applied_to_body>calcn_r
 </applied_to_body><force_identifier>f</force_identifier><point_identifier>p</point_identifier></ExternalForce>
 </objects><datafile>push.mot</datafile></ExternalLoads>"""
+
+
+@pytest.mark.parametrize(("factor", "doubts"), [(1.0, 0), (1000.0, 1)])
+def test_torques_in_newton_millimetres_are_doubted(factor, doubts):
+    """Of a foot that turns on its plate; a plate that has its whole moment at its middle is not doubted."""
+    bones = Bones.read(DATA / "osim/gait10dof18musc.osim", "cpu")
+    still = np.array([[bones.model.coordinates[name].default for name in bones.coordinates]])
+    needed = inverse_dynamics(bones, still, 0 * still, 0 * still)
+    foot, force = needed.origin[:, bones.number("calcn_r")], np.array([[0.0, 700.0, 0.0]])
+    for lever in (0.01, 0.3):
+        torque = np.array([[0.0, factor * lever * 700.0, 0.0]])
+        load = Load("calcn_r", force, foot, torque, "ground", "ground", "plate")
+        said = [*astray(bones, needed, [load])]
+        sizes = f"{factor * lever * 700.0:.3g} N m, beside a force of 700 N at most"
+        assert said == doubts * [f"the torque of 'plate' goes to {sizes}: is it in N mm?"]
 
 
 @pytest.mark.parametrize(("factor", "share"), [(1.0, 0), (0.97, 3), (1.25, 25), (-1.0, 200), (1e-3, 100)])

@@ -123,13 +123,21 @@ def test_a_marker_that_was_not_seen():
     )
 
 
-def test_a_frame_without_markers_stays_where_it_was():
+def test_a_frame_without_markers_stays_where_it_was_and_is_said(caplog):
     there, body = recorded("leg6dof9musc"), bones("leg6dof9musc")
     seen = there["seen"].copy()
     seen[20:23] = np.nan
     found = inverse_kinematics(body, Markers(tuple(there["markers"]), there["time"], seen))
     np.testing.assert_allclose(found.values[20:23], np.tile(found.values[19], (3, 1)), atol=1e-12)
     np.testing.assert_allclose(found.values[23:], there["fitted"][23:], atol=ANGLE)
+    (said,) = (record.getMessage() for record in caplog.records)
+    assert said == (
+        f"3 of {len(seen)} frames show fewer than 3 markers with a weight, first at {there['time'][20]:.4g} "
+        "s, and have a pose of the frames beside; fill them with --fill, or leave them out with --span"
+    )
+    caplog.clear()
+    inverse_kinematics(body, Markers(tuple(there["markers"]), there["time"], there["seen"]))
+    assert not caplog.records
 
 
 def test_millimetres_as_metres_are_doubted():

@@ -12,9 +12,11 @@ import reader_cases as cases
 from myowarp.apps.cli.motion.dynamics import Dynamics
 from myowarp.apps.reports.motion import angles_of
 from myowarp.motion import streams
+from myowarp.motion.loads import Loads
 from myowarp.motion.movement import read_motion, read_parts
-from myowarp.motion.storage import read_storage
+from myowarp.motion.storage import Storage, read_storage, write_storage
 from myowarp.motion.streams import Margin, Stream
+from myowarp.motion.units import doubtful_times
 from myowarp.osim.body.skeleton import Bones
 
 DATA = Path(__file__).parents[1] / "data"
@@ -192,8 +194,65 @@ def test_times_that_are_hardly_seconds(tmp_path, arm, caplog, factor, said):
         read_motion(path, arm)
     texts = [record.getMessage() for record in caplog.records]
     assert texts == (
-        [f"the motion of {str(path)!r} {said}; is its time in ms, or in percent?"] if said else []
+        [f"the recording {str(path)!r} {said}; is its time in ms, or in percent?"] if said else []
     )
+
+
+@pytest.mark.parametrize(("without", "said"), [
+    (range(20, 25), "has no rows between 0.19 and 0.25 s (5 are missing), which a spline bridges; fill the "
+     "gap, or cut the file there"),
+    ([20], ""),
+    (range(1, 60, 2), ""),
+])  # fmt: skip
+def test_missing_rows_are_said(tmp_path, arm, caplog, without, said):
+    """Not a single one, and not times of a solver that takes steps as it needs them."""
+    path = recording(tmp_path, ["walk", "version=1", "inDegrees=yes"], DEGREES)
+    lines = path.read_text().splitlines(keepends=True)
+    first = len(lines) - ROWS
+    path.write_text("".join(line for i, line in enumerate(lines) if i - first not in without))
+    time = np.arange(ROWS) / 100.0
+    uneven = np.cumsum(np.where(np.arange(ROWS) % 7, 0.01, 0.08))
+    with caplog.at_level(logging.WARNING):
+        read_motion(path, arm)
+    assert [*doubtful_times(path, uneven)] == []
+    assert [*doubtful_times(path, time[:1])] == []
+    texts = [record.getMessage() for record in caplog.records]
+    assert texts == ([f"{str(path)!r} {said}"] if said else [])
+
+
+def test_missing_rows_of_loads_are_said(tmp_path, caplog):
+    time = np.arange(40) / 100.0
+    kept = (time < 0.1) | (time > 0.2)
+    push = Storage(("fx", "fy", "fz"), time[kept], np.ones((int(kept.sum()), 3)))
+    write_storage(tmp_path / "push.mot", "push", push)
+    (tmp_path / "push.xml").write_text(
+        '<ExternalLoads name="l"><objects><ExternalForce name="hand"><applied_to_body>hand</applied_to_body>'
+        "<force_identifier>f</force_identifier></ExternalForce></objects><datafile>push.mot</datafile>"
+        "</ExternalLoads>"
+    )
+    with caplog.at_level(logging.WARNING):
+        Loads(tmp_path / "push.xml")
+    (said,) = (record.getMessage() for record in caplog.records)
+    assert said.startswith(
+        f"{str(tmp_path / 'push.mot')!r} has no rows between 0.09 and 0.21 s (11 are missing)"
+    )
+
+
+def test_angles_that_wrap_are_said(tmp_path, arm, caplog):
+    """A turn of the shoulder that an arc tangent brings back from 180 to -180 degrees."""
+    turn = np.linspace(150.0, 210.0, ROWS)
+    for values, said in ((turn, False), ((turn + 180.0) % 360.0 - 180.0, True)):
+        caplog.clear()
+        with caplog.at_level(logging.WARNING):
+            path = recording(
+                tmp_path, ["walk", "version=1", "inDegrees=yes"], np.stack([values, 0 * turn], axis=1)
+            )
+            read_motion(path, arm)
+        texts = [record.getMessage() for record in caplog.records]
+        assert texts == (
+            [f"r_shoulder_elev of {str(path)!r} goes from 179.5 to -179.5 degrees in one step, from 0.29 s "
+             "on, which a spline follows; unwrap it"] if said else []
+        )  # fmt: skip
 
 
 def test_pages_show_degrees(tmp_path, arm):

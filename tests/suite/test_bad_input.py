@@ -89,6 +89,8 @@ BAD_ACTIONS = {
     "complex": (GOOD + 1j, FLOATING + "complex64 of shape (3, 6)"),
     "object": (GOOD.astype(object), FLOATING + "object of shape (3, 6)"),
     "nothing": (None, FLOATING + "object of shape ()"),
+    "rows of several lengths": ([*GOOD[:2].tolist(), [0.0]], FLOATING + "list that is no array"),
+    "actions and a state": ((GOOD, None), FLOATING + "tuple that is no array"),
     "NaN": (with_entry(np.nan), "actions must be finite, got NaN or infinity for worlds [1]"),
     "infinity": (with_entry(np.inf), "actions must be finite, got NaN or infinity for worlds [1]"),
     "minus infinity": (with_entry(-np.inf), "actions must be finite, got NaN or infinity for worlds [1]"),
@@ -153,6 +155,7 @@ BAD_RESETS = {
     "negative in a list": ({"seed": [1, -1, None]}, SEEDS + "[1, -1, None]"),
     "fraction in a list": ({"seed": [1, 2.5, 3]}, SEEDS + "[1, 2.5, 3]"),
     "fraction": ({"seed": 1.5}, SEEDS + "1.5"),
+    "array of no dimension": ({"seed": np.array(3)}, SEEDS + "array(3)"),
     "text": ({"seed": "abc"}, SEEDS + "'abc'"),
 }
 

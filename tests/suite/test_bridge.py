@@ -313,9 +313,12 @@ def test_torch_output():
     check_output("torch", torch.Tensor)
     env = make(output="torch")
     actions = draw_actions(env, 1)[0]
+    actions[1] = np.array([1, -1, 1, 1, -1, 1])
     env.reset(seed=0)
     expected = env.step(actions)[0].clone()
-    for given in (torch.from_numpy(actions), torch.from_numpy(actions).double().requires_grad_()):
+    same = torch.from_numpy(actions)
+    huge = same.double().where(same.abs() < 1, 1e300 * same.double())  # inf in float32
+    for given in (same, same.double().requires_grad_(), huge):
         env.reset(seed=0)
         assert torch.equal(env.step(given)[0], expected)
     env.reset(seed=0)

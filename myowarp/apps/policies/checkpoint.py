@@ -243,8 +243,8 @@ def save_checkpoint(
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)
         raise
-    for other in above.iterdir():
-        if other != final:
+    for other in above.iterdir():  # what else lies there is the user's
+        if other != final and other.name.removesuffix(TEMPORARY).isdecimal():
             shutil.rmtree(other, ignore_errors=True)
     return final
 
@@ -284,10 +284,10 @@ def find_folder(path: Path, *, learning: bool = False) -> Path:
         return path
     for root in (path / FOLDER,) if learning else (path / BEST, path / FOLDER):
         folders = root.iterdir() if root.is_dir() else ()
-        found = [f for f in folders if (f / MANIFEST).is_file() and not f.name.endswith(TEMPORARY)]
+        found = [folder for folder in folders if folder.name.isdecimal() and (folder / MANIFEST).is_file()]
         if found:
             return max(found, key=lambda folder: folder.name)
-    absent = "" if path.is_dir() else ", and this one does not exist"
+    absent = "" if path.exists() else ", and this one does not exist"
     raise CheckpointError(
         f"{str(path)!r} holds no checkpoint; a run's folder has {FOLDER}/<samples>/{MANIFEST}{absent}; the "
         "package's policies are baselines/ID"

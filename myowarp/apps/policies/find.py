@@ -120,9 +120,15 @@ def acting(policy: Policy, sim: Simulation) -> Act:
 
         def guarded(obs: np.ndarray) -> np.ndarray:
             try:
-                return act(obs, begins=begins(sim)) if remembers else act(obs)
-            except (ValueError, OSError, RuntimeError, ImportError) as error:
+                actions = act(obs, begins=begins(sim)) if remembers else act(obs)
+            except (ValueError, OSError, RuntimeError, ImportError, StopIteration) as error:
                 raise PolicyError(f"policy {policy.name!r} failed") from error
+            if actions is None:  # which would go on with the actions before
+                raise ValueError(
+                    f"policy {policy.name!r} must return actions of shape {sim.action.shape}, got None; does "
+                    "it end with return?"
+                )
+            return actions.detach().float().cpu().numpy() if hasattr(actions, "detach") else actions
 
         return guarded
     if policy.name == "hold":

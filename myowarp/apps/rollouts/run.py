@@ -159,8 +159,8 @@ def stepped(sim: Simulation, act: Act) -> Iterator[Step]:
         asked = act(obs.copy())  # which a policy may keep, or write into
         begin = time.perf_counter()
         if asked is not None:
+            take(asked)
             action = np.array(asked)  # which a policy may use again
-            take(action)
         sim.step()
         led_to = _outcome(sim)
         seconds += time.perf_counter() - begin

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import itertools
 import os
 import socket
 import time
@@ -21,8 +22,9 @@ from tensorboard.summary.writer.record_writer import RecordWriter
 
 from myowarp.apps.reports.curve import CSV
 from myowarp.apps.reports.evaluation import SUCCESSES
-from myowarp.disk import in_place
+from myowarp.disk import NUMBER, in_place
 
+FIRST = "samples,"
 PARTS = ("simulation", "learner", "rest")
 REFRESH = 0.25  # s between changes of the live line
 LINE_EVERY = 10.0  # s between lines where the error stream is no terminal
@@ -51,6 +53,7 @@ class Progress:
 
         Raises:
             OSError: The files cannot be written.
+            ValueError: Those of a resumed run were changed.
         """
         self.total, self.console = total, console
         head, *kept = _rows_until(folder / CSV, after) or [""]
@@ -60,7 +63,7 @@ class Progress:
         self._event(file_version="brain.Event:2")
         if after:  # what comes replaces what others say
             self._event(step=after + 1, session_log=SessionLog(status=SessionLog.START))
-        with in_place(folder / CSV) as scratch, scratch.open("w", newline="") as file:
+        with in_place(folder / CSV) as scratch, scratch.open("w", newline="", encoding="utf-8") as file:
             file.writelines([head, *kept])
         self._file = (folder / CSV).open("a", newline="")
         columns = next(csv.reader([head]), [])
@@ -149,9 +152,22 @@ class Progress:
 
 
 def _rows_until(path: Path, samples: int) -> list[str]:
-    """Return the lines of a CSV up to a number of samples, its first column; cut lines are left out."""
+    """Return the lines of a CSV up to a number of samples, its first column.
+
+    Lines that were cut, or that a disk has lost, are left out.
+
+    Raises:
+        ValueError: The names of the columns are not there.
+    """
     if not samples or not path.is_file():
         return []
-    with path.open(newline="") as file:
+    with path.open(newline="", encoding="utf-8", errors="replace") as file:
         head, *rows = [line for line in file if line.endswith("\n")] or [""]
-    return [head, *(row for row in rows if float(row.split(",")[0]) <= samples)]
+    if head and not head.startswith(FIRST):
+        raise ValueError(
+            f"{str(path)!r} must begin with the names of its columns, samples first, got {head[:40]!r}; "
+            "restore it, or move it away, and resume again"
+        )
+    firsts = [row.partition(",")[0] for row in rows]
+    kept = [bool(NUMBER.fullmatch(first)) and float(first) <= samples for first in firsts]
+    return [head, *itertools.compress(rows, kept)]

@@ -15,12 +15,13 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from myowarp.apps.policies.checkpoint import Checkpoint
+from myowarp.apps.policies.checkpoint import BEST, MANIFEST, Checkpoint
 from myowarp.apps.policies.learned import Bound
 from myowarp.apps.reports.evaluation import evaluate
 from myowarp.apps.train.plan import Job, shown
 from myowarp.definitions.condition import Condition
 from myowarp.definitions.option import flag
+from myowarp.process import warn_once
 from myowarp.sim.simulation import Simulation
 
 EPISODES = 128
@@ -56,6 +57,12 @@ class Selection:
         manifest |= job.checkpoint.manifest if job.checkpoint else {}
         found = {name: Score(**score) for name, score in manifest["selection"].items() if score}
         self.best, self.last = found.get("best"), found.get("last")
+        if self.best and not any((job.folder / BEST).glob(f"*/{MANIFEST}")):
+            warn_once(
+                f"the best policy of {str(job.folder)!r}, after {self.best.samples} samples, is gone; the "
+                "next evaluation is the first that counts"
+            )
+            self.best = None
         self._job, self._taken = job, manifest["samples"]
         self._sim: Simulation | None = None
 
