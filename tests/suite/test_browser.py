@@ -605,12 +605,12 @@ def test_a_preset_of_the_command_line_has_its_box_ticked(monkeypatch):
     """The healthy twin stands beside, and the page says so."""
     seen = []
 
-    def look(self, server, live):
-        client = Client(f"ws://127.0.0.1:{server.get_port()}")
+    def look(live):
+        client = Client(f"ws://127.0.0.1:{live.server.get_port()}")
         seen.append((live.twin is not None, client.parts[client.uuid(BESIDE)]["value"]))
         client.leave()
 
-    monkeypatch.setattr(View, "_serve", look)
+    monkeypatch.setattr(Live, "run", look)
     for preset in (None, "older adult"):
         View(Said(Setup(task=KEY, device="cpu")), policy="zero", preset=preset, port=0)()
     assert seen == [(False, False), (True, True)]
