@@ -57,9 +57,9 @@ def style(size: float = 8.5, **settings: Any) -> Iterator[None]:
         yield
 
 
-def ink_on(color: tuple[float, ...]) -> str:
+def ink_on(color: ArrayLike) -> str:
     """Return the colour of words on such a cell, white or `INK`: relative luminance of WCAG 2.1."""
-    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in color[:3]]
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in np.asarray(color)[:3]]
     return "white" if np.dot((0.2126, 0.7152, 0.0722), linear) < EVEN_LUMINANCE else INK
 
 

@@ -272,7 +272,7 @@ def draw(figure: Figure, before: Shares, after: Shares) -> None:
         axes.set_title(title)
         axes.grid(False)
     panels[0].set_yticks(range(len(tasks)), [t.removeprefix("myo") for t in tasks])
-    figure.colorbar(image, ax=panels, label="episodes that succeed [%]", fraction=0.04)
+    figure.colorbar(panels[0].images[0], ax=panels, label="episodes that succeed [%]", fraction=0.04)
 
 
 EXPERIMENT = Experiment("conditions", run, ignores=("models", "seeds"))
