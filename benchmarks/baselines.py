@@ -291,7 +291,7 @@ def _published_table(found: list[Baseline], published: dict[str, Any]) -> str:
 
 
 def draw(path: Path) -> None:
-    """Draw the curves of all baselines: success by the paper's rule over samples, a panel for each task."""
+    """Draw the curves of all baselines: success over samples, a panel for each task."""
     from matplotlib.figure import Figure
 
     tasks, columns = baselines.baseline_tasks(), 4
@@ -301,7 +301,7 @@ def draw(path: Path) -> None:
     for panel, task in zip(panels, tasks, strict=False):
         with (baselines.FOLDER / task / CURVE).open(newline="") as file:
             points = [(float(row["samples"]) / 1e6, row) for row in csv.DictReader(file)]
-        for rule, text, ink in zip(SUCCESSES, RULES.values(), INKS[: len(RULES)], strict=True):
+        for (rule, text), ink in zip(SUCCESSES.items(), INKS, strict=False):
             shares = [100 * float(row[rule]) for _, row in points]
             panel.plot([x for x, _ in points], shares, color=ink, label=text)
         panel.set_title(task, fontsize="small")

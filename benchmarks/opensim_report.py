@@ -1,5 +1,9 @@
-"""Results of `benchmarks.opensim_speed`, as tables and a plot."""
+"""Results of `benchmarks.opensim_speed`, as tables and a plot.
 
+python -m benchmarks.opensim_report    # draws the committed ones
+"""
+
+import json
 import textwrap
 from pathlib import Path
 from typing import Any
@@ -7,6 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.result_pages import OPENSIM_SPEED, RESULTS, number
 from myowarp.inks import BLUE, VERMILION
 
 COLORS = {"OpenSim": VERMILION, "MuJoCo C": "#6b6b6b", "MyoWarp": BLUE}
@@ -93,12 +98,12 @@ def _line(axis: Any, name: str, rows: list[dict[str, Any]], height: float) -> No
     ]
     style = {"color": COLORS[family], "ls": STYLES.get(detail, "-"), "marker": "o", "ms": 4}
     axis.errorbar(muscles, medians, yerr=whiskers, elinewidth=1, **style)
-    for number, rate, row in zip(muscles, medians, rows, strict=True):
+    for count, rate, row in zip(muscles, medians, rows, strict=True):
         if row["cpu_over_wall"]["median"] < LEAST_SHARE * row["threads"]:
-            axis.plot(number, rate, "o", ms=4, mfc="w", mec=COLORS[family], zorder=5)
+            axis.plot(count, rate, "o", ms=4, mfc="w", mec=COLORS[family], zorder=5)
     ratio = rows[-1]["over_opensim"]["median"]
     worlds = f", {rows[-1]['worlds']} worlds" if rows[-1]["worlds"] > 1 else ""
-    text = f"{name}{worlds}" + ("" if ratio == 1.0 else f": {ratio:g} x")
+    text = f"{name}{worlds}" + ("" if ratio == 1.0 else f": {number(ratio, 3)} ×")
     axis.annotate(
         text,
         (muscles[-1], height),
@@ -108,3 +113,7 @@ def _line(axis: Any, name: str, rows: list[dict[str, Any]], height: float) -> No
         color=COLORS[family],
         fontsize=9,
     )
+
+
+if __name__ == "__main__":
+    draw(json.loads(OPENSIM_SPEED.read_text()), RESULTS / "opensim_speed.png")

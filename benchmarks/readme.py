@@ -23,6 +23,7 @@ HARD = {
     "myoHandPoseRandom-v1": "hand pose (`-v1`)",
     "myoHandKeyTurnRandom-v0": "key turn",
 }
+MARKS = {"*": "one seed", "–": "not counted"}
 LEARNED = 95.0  # percent of the episodes
 ALIKE = 1e-5
 
@@ -77,7 +78,8 @@ def learning() -> dict[str, Any]:
         "least": min(good),
         "exception": "".join("; " + exception(task) for task in easy if min(easy[task]) < LEARNED),
         "seeds": f"{min(counts)} to {max(counts)}",
-        "hard": ", ".join(f"{name} {both(task)}" for task, name in HARD.items()),
+        "hard": (hard := ", ".join(f"{name} {both(task)}" for task, name in HARD.items())),
+        "stars": "".join(f" ({mark}: {text})" for mark, text in MARKS.items() if mark in hard),
         "speed": walking[0]["speed"],
         "cost": walking[0]["bhargava2004_per_kg_m"],
         "walkers": len(walking),

@@ -534,11 +534,13 @@ def _checked(bones: Bones, recorded: Markers, marker_weights: Mapping[str, float
         if not 0.0 <= weight < np.inf:
             raise ValueError(f"the weight of marker {name!r} must be at least 0 and finite, got {weight}")
     used = {name: weight for name, weight in weights.items() if weight > 0.0}
-    if not used:
+    if not shared:
         raise ValueError(
-            f"no marker has a weight; the model has {', '.join(model.markers) or 'none'}, the recording "
-            f"{', '.join(recorded.names)}"
+            f"the model has none of the recorded markers {', '.join(recorded.names)}, but "
+            f"{', '.join(model.markers) or 'none'}; rename markers, or take a MarkerSet with --marker-set"
         )
+    if not used:
+        raise ValueError("no marker has a weight above 0; give at least three markers one")
     return used
 
 

@@ -193,19 +193,22 @@ class MarkerStream(Stream):
 
 
 def say_unmatched(known: Sequence[str], recorded: Markers) -> None:
-    """Say which recorded markers a model does not know, where markers of its own are not in the recording.
+    """Say which recorded markers a model does not know, and which of its own are not in the recording.
 
     Markers that have two names, one here and one there, count in no pose.
     """
     unknown = [name for name in recorded.names if name not in known]
-    unseen = [name for name in known if name not in recorded.names]
-    if unknown and unseen:
-        logger.warning(
-            "the model has no marker called %s, and the recording none called %s; rename those that are the "
-            "same: others do not count",
-            listed(unknown, SHOWN),
-            listed(unseen, SHOWN),
-        )
+    if not unknown:
+        return
+    advice = ""
+    if unseen := [name for name in known if name not in recorded.names]:
+        advice = f"; the recording has no {listed(unseen, SHOWN)}: rename markers that are the same"
+        if 2 * len(unknown) > len(recorded.names):
+            advice += ", or take the model of this trial"
+    logger.warning(
+        "%d of %d markers are not in the model, and left out: %s%s",
+        *(len(unknown), len(recorded.names), listed(unknown, SHOWN), advice),
+    )
 
 
 def write_trc(path: Path, markers: Markers) -> None:

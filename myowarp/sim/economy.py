@@ -130,8 +130,8 @@ def doubt(figures: Mapping[str, float | None]) -> str:
         mass = figures.get("body_mass")
         own = "" if mass is None else f", {mass:.3g} kg"
         return (
-            f"{most:,.0f} W/kg is no person's: the mass is that of the model's few bones{own}; read the rate "
-            "in W"
+            f"up to {most:,.0f} W/kg is no person's: the mass is that of the model's few bones{own}; "
+            "read the rate in W"
         )
     return (
         f"absurd metabolic rate: up to {most:.1f} W/kg, where a person who runs at 5 m/s spends "

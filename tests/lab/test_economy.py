@@ -198,7 +198,8 @@ def test_an_absurd_rate_is_said_to_be_so(rates):
     assert doubt(figures | walks).startswith("absurd metabolic rate: up to 42.0 W/kg, ")
     part = doubt(figures | {"body_mass": 0.0204})
     assert part == (
-        "42 W/kg is no person's: the mass is that of the model's few bones, 0.0204 kg; read the rate in W"
+        "up to 42 W/kg is no person's: the mass is that of the model's few bones, 0.0204 kg; "
+        "read the rate in W"
     )
     assert not doubt(dict.fromkeys(names, 4.0 * 5.0))
     assert not doubt(dict.fromkeys(names, 4.0 * 5.0) | walks)

@@ -158,8 +158,11 @@ def test_wanted_coordinates_and_bad_weights():
         inverse_kinematics(body, markers, {"NOSE": 1.0})
     with pytest.raises(ValueError, match="must be at least 0 and finite, got -1"):
         inverse_kinematics(body, markers, {markers.names[0]: -1.0})
-    with pytest.raises(ValueError, match="no marker has a weight"):
+    with pytest.raises(ValueError, match="no marker has a weight above 0; give at least three"):
         inverse_kinematics(body, markers, {markers.names[0]: 0.0})
+    others = Markers(tuple(f"walker:{name}" for name in markers.names), markers.time, markers.positions)
+    with pytest.raises(ValueError, match=r"none of the recorded markers walker.* or take a MarkerSet"):
+        inverse_kinematics(body, others)
     unseen = Markers(markers.names, markers.time, np.full_like(markers.positions, np.nan))
     with pytest.raises(ValueError, match="no frame shows 3 markers with a weight"):
         inverse_kinematics(body, unseen)

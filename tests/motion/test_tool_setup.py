@@ -259,10 +259,10 @@ def test_markers_that_are_called_otherwise_are_named(leg, caplog, prefix, left):
     with caplog.at_level(logging.WARNING):
         found = kinematics(bones, TrialSetup(markers=folder / "named.trc"))
     assert len(found.fitted.names) == len(names) - left
-    said = [text for record in caplog.records if "no marker called" in (text := record.getMessage())]
+    said = [text for text in caplog.messages if "are not in the model" in text]
     assert len(said) == bool(prefix)
     for text in said:
-        assert f"no marker called {called[0]}, {called[1]}, and the recording none called {names[0]}" in text
+        assert f"left out: {called[0]}, {called[1]}; the recording has no {names[0]}" in text
 
 
 @pytest.mark.parametrize(("span", "said"), [
@@ -348,6 +348,17 @@ def test_what_a_set_up_file_comes_to_is_said(gait, capsys):
     assert (time[0], time[-1]) == pytest.approx((0.3, 0.5))
     Dynamics(GAIT, setup=folder / "so.xml", filter=3.0, span=(0.4, 0.5), output=folder / "own")()
     assert "0.4 to 0.5 s, a filter of 3 Hz, loads push.xml" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("option", "name"), [("motion", "motion.mot"), ("loads", "push.xml")])
+def test_a_file_that_a_set_up_names_and_is_not_there_is_asked_for(gait, option, name):
+    """What is given takes its place."""
+    folder, _ = gait
+    given = (folder / name).rename(folder / f"moved{Path(name).suffix}")
+    with pytest.raises(ValueError, match=f"names '.*{name}', which is not there; give --{option} FILE$"):
+        Dynamics(GAIT, setup=folder / "id.xml", output=folder / "out")()
+    Dynamics(GAIT, **{option: given}, setup=folder / "id.xml", output=folder / "out")()
+    assert (folder / "out/moments.sto").is_file()
 
 
 def test_other_files_are_refused(gait):

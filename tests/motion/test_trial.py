@@ -12,9 +12,8 @@ from myowarp.apps.cli.motion.dynamics import Dynamics
 from myowarp.apps.cli.motion.forces import FILES, Forces
 from myowarp.apps.cli.motion.kinematics import Kinematics
 from myowarp.apps.cli.motion.report import Report
-from myowarp.apps.cli.motion.said import unknown_to
 from myowarp.apps.cli.motion.steps import RENEWED, absent_from
-from myowarp.motion.markers import Markers, write_trc
+from myowarp.motion.markers import Markers, say_unmatched, write_trc
 from myowarp.motion.movement import read_motion, write_angles
 from myowarp.motion.storage import Storage, read_storage, write_storage
 from myowarp.osim.body.skeleton import Bones
@@ -44,19 +43,22 @@ def gait(tmp_path):
     return tmp_path, there
 
 
-def test_a_recording_of_another_model_is_doubted():
+def test_a_recording_of_another_model_is_doubted(caplog):
     """By markers and coordinates that hardly occur in it."""
-    model = SimpleNamespace(markers=dict.fromkeys(("hip", "knee")))
 
     def markers(*names):
-        return unknown_to(
-            SimpleNamespace(recorded=SimpleNamespace(names=names), bones=SimpleNamespace(model=model))
-        )
+        caplog.clear()
+        say_unmatched(("hip", "knee"), Markers(names, np.zeros(1), np.zeros((1, len(names), 3))))
+        return caplog.messages
 
     assert not markers("hip", "knee")
-    assert markers("hip", "knee", "nose") == ["1 of 3 markers are not in the model, and left out: nose"]
-    (line,) = markers("hip", "a", "b", "c", "d")
-    assert line.endswith("left out: a, b, c and 1 more; is it the model of this trial?")
+    assert not markers("hip")
+    left = "markers are not in the model, and left out"
+    assert markers("hip", "knee", "nose") == [f"1 of 3 {left}: nose"]
+    other = "the recording has no knee: rename markers that are the same"
+    assert markers("hip", "nose") == [f"1 of 2 {left}: nose; {other}"]
+    doubt = ", or take the model of this trial"
+    assert markers("hip", *"abcdef") == [f"6 of 7 {left}: a, b, c, d, e and 1 more; {other}{doubt}"]
     few = SimpleNamespace(absent=("knee", "ankle"), values=np.zeros((9, 3)))
     assert absent_from(few)[0].endswith("knee, ankle (is it of this model? 1 of 3 are there)")
     assert absent_from(SimpleNamespace(absent=("knee",), values=np.zeros((9, 3))))[0].endswith(

@@ -27,7 +27,7 @@ from myowarp.sim.patient import Knob
 from myowarp.view.browser import live as live_module
 from myowarp.view.browser.controls import Wishes
 from myowarp.view.browser.live import Live
-from myowarp.view.browser.patient_tab import PatientTab
+from myowarp.view.browser.patient_tab import BESIDE, PatientTab
 from myowarp.view.browser.server import check_port, close_server, open_server
 from myowarp.view.browser.task_tree import OWN, place_of
 from myowarp.view.browser.updates import take_values_alone
@@ -600,3 +600,18 @@ def test_policies_offered_can_act():
     assert "hold" not in policies_for(hand, "hold")
     assert policies_for(elbow, "hold")[0] == "hold"
     assert "baselines/myoHandReachFixed-v0" not in policies_for(elbow, "baselines/myoHandReachFixed-v0")
+
+
+def test_a_preset_of_the_command_line_has_its_box_ticked(monkeypatch):
+    """The healthy twin stands beside, and the page says so."""
+    seen = []
+
+    def look(live):
+        client = Client(f"ws://127.0.0.1:{live.server.get_port()}")
+        seen.append((live.twin is not None, client.parts[client.uuid(BESIDE)]["value"]))
+        client.leave()
+
+    monkeypatch.setattr(Live, "run", look)
+    for preset in (None, "older adult"):
+        View(Said(Setup(task=KEY, device="cpu")), policy="zero", preset=preset, port=0)()
+    assert seen == [(False, False), (True, True)]

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
@@ -117,24 +118,26 @@ def _list(found: list[Baseline], as_json: bool) -> None:
     if as_json:
         print(json.dumps({baseline.task: {"runs": baseline.runs} for baseline in found}, indent=1))
         return
-    columns = [f"{rule}{drawn}" for drawn in ("", ", drawn") for rule in ("strict", "paper")]
-    table = Table("task", "samples", *columns, "today's trainer")
+    columns = [f"{drawn}{rule} [%]" for drawn in ("", "drawn, ") for rule in ("strict", "paper")]
+    table = Table(
+        "task", "samples [M]", *columns, "today's trainer", box=SIMPLE, padding=(0, 1, 0, 0), show_edge=False
+    )
     table.columns[0].no_wrap = True
     for baseline in found:
         run = baseline.runs[0]
         shares = (_share(run["evaluation"][mode], rule) for mode in MODES for rule in ("success", MYOSUITE))
         lowest = f"{TASKS[baseline.task].name}-v0"
-        label = baseline.task + (" (corrected)" if lowest in TASKS and lowest != baseline.task else "")
-        samples = f"{run['training']['samples'] / 1e6:.2f} M"
+        label = baseline.task + (" *" if lowest in TASKS and lowest != baseline.task else "")
+        samples = f"{run['training']['samples'] / 1e6:.2f}"
         table.add_row(label, samples, *shares, "yes" if baseline.is_todays else "no")
     console = Console(highlight=False, soft_wrap=True)
-    console.print(table)
+    console.print(table, soft_wrap=False)
     console.print(
         f"strict: episodes with {SUCCESSES['success']}, as `myowarp eval` counts; paper: {RULES[MYOSUITE]}.\n"
         "256 episodes with the policy's means as actions, and 256 with drawn ones, under parity physics; 1 of"
-        " 1: all 256 are the same; -: not counted.\nyes: today's trainer made the policy, and `myowarp"
-        " baselines run ID` makes it again; no: an earlier one did.\n--json has every seed, intervals and two"
-        " more rules.",
+        " 1: all 256 are the same; -: not counted; *: a corrected task.\nyes: today's trainer made the"
+        " policy, and `myowarp baselines run ID` makes it again; no: an earlier one did.\n--json has every"
+        " seed, intervals and two more rules.",
         markup=False,
     )
 
@@ -143,4 +146,4 @@ def _share(figures: dict[str, Any], rule: str) -> str:
     """Return a success in percent, or of the one episode that all were; "-": it was not counted."""
     if rule not in figures:
         return "-"
-    return f"{figures[rule]:.0f} of 1" if figures["one_episode"] else f"{100 * figures[rule]:.1f} %"
+    return f"{figures[rule]:.0f} of 1" if figures["one_episode"] else f"{100 * figures[rule]:.1f}"

@@ -77,8 +77,8 @@ def _rows(family: str | None) -> Iterable[dict[str, Any]]:
 def _of_tasks(rows: list[dict[str, Any]], width: int) -> Iterable[str]:
     """Return the list as lines: tasks of the same sizes under a heading that has them, versions together."""
     yield (
-        f"{len(rows)} tasks; with the variants at the end and the paper's grid (--paper)\n"
-        f"they have {len(variants())} ids, which in Gymnasium begin with MyoWarp/"
+        f"{len(rows)} tasks; {len(variants())} ids with variants (below) and the paper's grid (--paper)\n"
+        "In Gymnasium, ids begin with MyoWarp/"
     )
     names = [row["id"].removeprefix("MyoWarp/") for row in rows]
     first = {name.rpartition("-v")[0]: i for i, name in reversed(list(enumerate(names)))}

@@ -84,12 +84,10 @@ class View:
         session, choices = self.open(self.title, self.first_policy), self.choices()
         if self.preset is not None:
             session.become(self.preset)
+            session.beside = True
         server = open_server(self.port, self.title)
         try:
-            live = Live(server, session, choices)
-            if self.preset is not None:
-                live.show_twin(True)
-            self._serve(server, live)
+            self._serve(server, Live(server, session, choices))
         finally:
             close_server(server)
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INK = "#222222"
+EVEN_LUMINANCE = 0.213  # on which white and INK have the same contrast
 LINES = {"color": 2 * INKS, "linestyle": len(INKS) * ("-",) + len(INKS) * ("--",)}
 """Of lines in one panel: no two look alike."""
 DPI = 110
@@ -54,6 +55,12 @@ def style(size: float = 8.5, **settings: Any) -> Iterator[None]:
     }
     with matplotlib.rc_context(common | settings):
         yield
+
+
+def ink_on(color: ArrayLike) -> str:
+    """Return the colour of words on such a cell, white or `INK`: relative luminance of WCAG 2.1."""
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in np.asarray(color)[:3]]
+    return "white" if np.dot((0.2126, 0.7152, 0.0722), linear) < EVEN_LUMINANCE else INK
 
 
 def blank(width: float, height: float) -> Figure:

@@ -140,14 +140,14 @@ class Progress:
         done, seconds = row["samples"] - self._after, time.monotonic() - self._begin
         left = int(seconds * max(self.total - row["samples"], 0) / max(done, 1))
         success, last, some = (100 * row[name] for name in SUCCESSES)
-        shares = " ".join(f"{part} {100 * row[f'share_{part}']:.0f}" for part in PARTS)
+        shares = " ".join(f"{part} {100 * row[f'share_{part}']:.0f} %" for part in PARTS)
         episodes = "no episode has ended yet"
         if row["return"] == row["return"]:
             shown = f"success {success:.0f} % (last step {last:.0f}, any step {some:.0f})"
             episodes = f"return {row['return']:.1f}  {shown}"
         return Text(
             f"{row['samples'] / 1e6:.2f} of {self.total / 1e6:.2f} M samples  {episodes}  "
-            f"{done / max(seconds, 1e-9):,.0f}/s  {shares} %  {left // 60}:{left % 60:02d} left"
+            f"{done / max(seconds, 1e-9):,.0f}/s  {shares}  {left // 60}:{left % 60:02d} left"
         )
 
 

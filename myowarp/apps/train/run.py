@@ -307,10 +307,10 @@ def _publish(job: Job, report: dict[str, Any], console: Console) -> None:
         scratch.write_text(json.dumps(plain(report), indent=1) + "\n")
     curve = draw_curve(job.folder, f"{job.asked.task}, {job.settings.algorithm}, seed {job.setup.seed}")
     share = f"{100 * report['success']:.1f} %" if report["episodes"] else "none"
+    acts = f"sampled actions, {_physics(job, report['samples'])} physics"
     console.print(
-        f"Ended after {report['samples']:,} samples in {report['seconds']:.1f} s: {report['ended']}; of the "
-        f"last episodes {share} succeeded, sampled actions under "
-        f"{_physics(job, report['samples'])} physics"
+        f"Ended after {report['samples']:,} samples in {report['seconds']:.1f} s ({report['ended']}); "
+        f"{share} of the last episodes succeeded ({acts})"
     )
     console.print(f"Saved {job.folder}" + (f" and {curve}" if curve else ""))
     if report["ended"] == STOPPED:

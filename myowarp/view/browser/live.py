@@ -236,7 +236,10 @@ class Live(Controls):
             self.playing = False
             self.session.pose(look.rest_pose(model))
         self.panel = Panel(self, self._readings, self.history)
-        self.aim()
+        if self.session.beside:
+            self.show_twin(True)
+        else:
+            self.aim()
 
     def _near_rest(self, model: mujoco.MjModel) -> Iterator[tuple[mujoco.MjData, dict[str, np.ndarray]]]:
         """Yield poses near rest: those at the ends of joints without limits make the body small."""

@@ -27,7 +27,8 @@ def status(live: Controls) -> str:
     if live.back > 0.0:
         state = f"{live.back:.1f} s back · "
     length = session.sim.setup.episode_steps * session.sim.scene.control_dt
-    before = f", {session.succeeded} of {session.episode - 1} before succeeded" if session.scored else ""
+    earlier = session.episode - 1
+    before = f", {session.succeeded} of {earlier} before succeeded" if session.scored and earlier else ""
     rows = [
         f"<b>{state}{session.time:.2f} s of {length:.4g} s</b>{_verdict(session)}",
         f"episode {session.episode}{before} · {live.factor:.2f} × real time",

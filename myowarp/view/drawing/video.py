@@ -107,6 +107,7 @@ def _encode(part: Path, frames: Iterable[np.ndarray], fps: float, options: dict[
                     (even.shape[1], even.shape[0]),
                     fps=float(fps),
                     macro_block_size=1,
+                    ffmpeg_log_level="error",  # of its warnings, a reader can act on none
                     **options,
                 )
                 writer.send(None)

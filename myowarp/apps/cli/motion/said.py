@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from myowarp.process import listed
-
 if TYPE_CHECKING:
     from myowarp.motion.emg import Comparison
     from myowarp.motion.residuals import Residuals
@@ -25,13 +23,15 @@ def of_scaling(scaled: Scaled) -> list[str]:
     """Return how a model was scaled, markers that fitted worst first."""
     lines = []
     if scaled.unknown:
-        lines.append(f"not in the model, and left out: {', '.join(scaled.unknown)}")
+        lines.append(
+            f"bodies of the set-up that are not in the model, and left out: {', '.join(scaled.unknown)}"
+        )
     if scaled.pose is not None:
         lines += [f"{marker}: {1e3 * most:.1f} mm off before it was moved"
                   for marker, _, most in scaled.pose.worst()[:SHOWN]]  # fmt: skip
         lines += filter(None, [scaled.pose.doubt()])
     for name, (factor, _) in scaled.measured.items():
-        lines.append(f"{name}: {factor:.4f}")
+        lines.append(f"{name}: factor {factor:.4f}")
     model = scaled.document.model
     return [*lines, f"{model.mass:.1f} kg in {len(model.bodies)} bodies"]
 
@@ -58,18 +58,7 @@ def of_markers(parts: Iterable[JointAngles]) -> list[str]:
         gaps = of_gaps(part.gaps)
     lines = [f"{marker}: {1e3 * rms:.1f} mm rms, {1e3 * most:.1f} mm at most"
              for marker, rms, most in errors.worst()[:SHOWN]]  # fmt: skip
-    return [*gaps, *unknown_to(part), *lines, *filter(None, [errors.doubt()])]
-
-
-def unknown_to(part: JointAngles) -> list[str]:
-    """Return which recorded markers the model has not, in one line or none."""
-    names = part.recorded.names if part.recorded is not None else ()
-    left = [name for name in names if name not in part.bones.model.markers]
-    if not left:
-        return []
-    wrong = "; is it the model of this trial?" if 2 * len(left) > len(names) else ""
-    said = f"{len(left)} of {len(names)} markers are not in the model, and left out"
-    return [f"{said}: {listed(left, SHOWN)}{wrong}"]
+    return [*gaps, *lines, *filter(None, [errors.doubt()])]
 
 
 def of_sensors(parts: Iterable[JointAngles]) -> list[str]:
@@ -137,7 +126,8 @@ class Lacking:
         lines = self.left.lines()
         if self.missed:
             lines.append(
-                f"muscles cannot hold {self.missed} of {self.frames} frames; missing.sto has what is left"
+                f"muscles cannot hold {self.missed} of {self.frames} frames; missing.sto has what is left, "
+                "--reserve 1 lets reserves give it"
             )
         joints = at_joints(self.bones)
         for name, most in self.most.items():

@@ -107,6 +107,12 @@ def setup_of(command: Any, **more: Any) -> TrialSetup:
     said = TrialSetup() if command.setup is None else read_tool_setup(command.setup)
     said.check_tool(MOTIONS if isinstance(command, Along) else POSES)
     stated = vars(command) | {"cutoff": getattr(command, "filter", None)} | more
+    for name in ("markers", "orientations", "motion", "loads"):
+        file = getattr(said, name)
+        if file is not None and stated.get(name, file) is None and not file.is_file():
+            raise ValueError(
+                f"{str(said.file)!r} names {str(file)!r}, which is not there; give --{name} FILE"
+            )
     names = [one.name for one in fields(TrialSetup) if one.name in stated]
     return said.stating(**{name: stated[name] for name in names})
 

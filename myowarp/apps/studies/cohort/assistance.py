@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from myowarp.apps.reports.panel import INK, blank
+from myowarp.apps.reports.panel import INK, blank, ink_on
 from myowarp.apps.studies.cohort.plot import PALE, Groups, group_patients, label, outcome
 from myowarp.inks import BETTER, WORSE
 
@@ -149,10 +149,8 @@ def _draw(
     axes.figure.colorbar(image, ax=axes, fraction=0.05, pad=0.02).outline.set_visible(False)
     axes.set_title(title, color=INK)
     axes.grid(visible=False)
-    middle = low + 0.45 * (high - low)
     for (i, j), value in np.ndenumerate(values):
         known = not np.isnan(value)
         text = f"{form.format(value) if known else '–'}\nn = {count[i, j]}"
-        axes.text(
-            j, i, text, ha="center", va="center", fontsize=8, color="w" if known and value > middle else INK
-        )
+        ink = ink_on(image.to_rgba(value)) if known else INK
+        axes.text(j, i, text, ha="center", va="center", fontsize=8, color=ink)

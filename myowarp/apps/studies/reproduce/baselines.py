@@ -91,12 +91,14 @@ class Ours:
         samples: That it took.
         curve: Its training.
         success: Under parity by kind of actions [%], shape (seeds,).
+        continued: Whether it started from another policy, whose samples are not counted.
     """
 
     algorithm: str
     samples: int
     curve: Curve
     success: dict[str, np.ndarray]
+    continued: bool
 
     @property
     def how(self) -> str:
@@ -113,6 +115,7 @@ def of_package(task: str) -> Ours:
         samples=baseline.runs[0]["training"]["samples"],  # its best policy may be from before its end
         curve=read_curve(FOLDER / task / CURVE),
         success={mode: np.array([100.0 * e[mode][MYOSUITE] for e in evaluations]) for mode in MODES},
+        continued=bool(manifest["settings"].get("parent")),
     )
 
 
@@ -138,7 +141,7 @@ def findings(natural: dict[str, list[Curve]], npg: dict[str, list[Curve]]) -> Fi
     pairs = [
         (samples_to(ours[a].curve), samples_to(ours[b].curve))
         for a, b in zip(easy, hard, strict=True)
-        if a in ours and b in ours and ours[a].algorithm == ours[b].algorithm
+        if a in ours and b in ours and ours[a].algorithm == ours[b].algorithm and not ours[b].continued
     ]
     elbows = [runs for task, runs in natural.items() if "Elbow" in task]
     both = {task: (runs, ours[task].curve) for task, runs in natural.items() if task in ours}
@@ -160,6 +163,7 @@ def findings(natural: dict[str, list[Curve]], npg: dict[str, list[Curve]]) -> Fi
         "better": len(hands) - len(hardly),
         "number": len(hands),
         "pairs": len(pairs),
+        "continued": ", ".join(task for task, own in ours.items() if own.continued) or "none",
         "elbows": len(elbows),
         "trainings": sum(map(len, elbows)),
         "least": min(ratios),

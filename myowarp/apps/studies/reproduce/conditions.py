@@ -48,7 +48,6 @@ CONDITIONS = {
 ADAPTED = ("sarcopenia", "fatigue", "tear", "transfer")
 SOLVED, LOSS = 50.0, 10.0  # percent of the episodes, points of it
 COLORS = "Blues"
-DARK = 60.0  # percent, from which on the colour wants white figures
 PART = 10  # times fewer samples than the policy had
 SEED = 2_000_000
 QUICK_TASKS = ("myoElbowPose1D6MRandom-v0", "myoHandKeyTurnFixed-v0")
@@ -264,10 +263,10 @@ def draw(figure: Figure, before: Shares, after: Shares) -> None:
         values = np.array(
             [[100.0 * shares[t, c].mean() if (t, c) in shares else np.nan for c in names] for t in tasks]
         )
-        axes.imshow(values, cmap=COLORS, vmin=0.0, vmax=100.0, aspect="auto")
+        image = axes.imshow(values, cmap=COLORS, vmin=0.0, vmax=100.0, aspect="auto")
         for (row, column), value in np.ndenumerate(values):
             if np.isfinite(value):
-                ink = "white" if value > DARK else panel.INK
+                ink = panel.ink_on(image.to_rgba(value))
                 axes.text(column, row, f"{value:.0f}", ha="center", va="center", fontsize=7.5, color=ink)
         axes.set_xticks(range(len(names)), names, rotation=35, ha="right")
         axes.set_title(title)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from myowarp.apps.policies.checkpoint import Checkpoint, load_checkpoint
 from myowarp.apps.reports import panel
 from myowarp.apps.studies.reproduce.conditions import (
     COLORS,
-    DARK,
     LOSS,
     SEED,
     SOLVED,
@@ -138,6 +137,8 @@ def _line(cell: PaperTask, transferred: Shares, trained: Shares) -> str:
 
 def draw(figure: Figure, cells: list[PaperTask], transferred: Shares, trained: Shares) -> None:
     """Draw tasks by conditions and resets: the better policy's share, bold where trained there."""
+    from matplotlib import colormaps
+
     families = [family for family in FAMILIES if any(cell.family == family for cell in cells)]
     names = [f"{family} {difficulty}" for family in families for difficulty in DIFFICULTIES]
     heads = [f"{condition}, {letter}" for condition in COLUMNS for letter in RESETS]
@@ -152,11 +153,9 @@ def draw(figure: Figure, cells: list[PaperTask], transferred: Shares, trained: S
             axes.text(column, row, "no policy", ha="center", va="center", fontsize=4.0, color="0.45")
             continue
         value = values[row, column] = 100.0 * max(own.mean() for own in found)
-        weight = "bold" if cell in trained else "normal"
-        ink = "white" if value > DARK else panel.INK
-        axes.text(
-            *(column, row, f"{value:.0f}"), ha="center", va="center", fontsize=7.0, color=ink, weight=weight
-        )
+        look: dict[str, Any] = {"fontsize": 7.0, "weight": "bold" if cell in trained else "normal"}
+        look["color"] = panel.ink_on(colormaps[COLORS](value / 100.0))
+        axes.text(column, row, f"{value:.0f}", ha="center", va="center", **look)
     image = axes.imshow(values, cmap=COLORS, vmin=0.0, vmax=100.0, aspect="auto")
     for edge in range(1, len(COLUMNS)):
         axes.axvline(edge * len(RESETS) - 0.5, color="white", linewidth=2.5)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 RECORD = Path(__file__).with_name("opensim_speed.json")
 PAPER = 60.0, 4000.0  # times as fast as OpenSim, least and greatest
 OPENSIM, LOOSE, MUJOCO = "OpenSim", "OpenSim, accuracy 1e-3", "MuJoCo C, 1 thread"
-COLORS = (BLACK, SKY, GREEN, BLUE)
+COLORS = (BLACK, SKY, BLUE, GREEN)
 
 
 def run(lab: Lab) -> Findings:
@@ -99,7 +99,7 @@ def draw(figure: Figure, report: dict[str, Any]) -> None:
                 muscles, median, (median - low, high - median), color=color, marker="o", ms=4, label=who
             )
         axes.axhspan(*PAPER, color=ORANGE, alpha=0.15, label="paper's range" if name == "arm26" else None)
-        axes.axhline(1.0, color=VERMILION, linewidth=1.0)
+        axes.axhline(1.0, color=VERMILION, linewidth=1.0, label=OPENSIM)
         axes.set(title=name, xscale="log", yscale="log", xlabel="muscles")
         muscles, _ = ratios(model, OPENSIM)
         axes.set_xticks(muscles, [str(number) for number in muscles])
