@@ -166,7 +166,7 @@ def draw(figure: Figure, found: Mapping[Case, list[dict[str, np.ndarray]]]) -> N
         axes.set(
             title=", ".join(case), xlabel="time after the change [s]", ylabel="episodes that are solved [%]"
         )
-    panels[-1].legend(loc="lower right")
+    panels[0].legend(loc="lower right")
 
 
 EXPERIMENT = Experiment("adaptation", run, ignores=("models", "seeds", "num_worlds"))
