@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 from rich.console import Console
+from scipy import stats
 
 from myowarp.apps.cli.options import Said
 from myowarp.apps.cli.reproduce import Reproduce
@@ -91,8 +92,42 @@ def test_gains_of_adaptation_are_differences_in_the_same_episodes(found):
         for task, gain in ours(result, f"gain of {kind} over {over}").items():
             assert gain == pytest.approx(after[f"{task}, {kind}"] - after[f"{task}, {over}"])
             assert gain > -10.0
-    assert {row["condition"].partition(",")[0] for row in result["merits"]} == set(adaptation.SETTINGS)
+    cases = {tuple(row["condition"].split(", ")[:2]) for row in result["merits"]}
+    assert cases == {(adaptation.ELBOW, change) for change in adaptation.CHANGES}
     assert json.loads((folder / "result.json").read_text())["policies"] == "of the package"
+
+
+def test_claims_of_adaptation_are_of_every_seed_of_a_change():
+    """Memory gains 10 points with the device in both seeds, 10 and -1 after weakness; scipy has the t."""
+    rng, told = np.random.default_rng(0), {"weakness": (0.7, 0.8), "device": (0.75, 0.7)}
+    shares = {}
+    for change, of_memory in {"weakness": (0.7, 0.59), "device": (0.7, 0.7)}.items():
+        means = [np.array([0.5, 0.6, of_told, m]) for of_told, m in zip(told[change], of_memory, strict=True)]
+        shares[change] = [m[:, None] + rng.uniform(-0.05, 0.05, (4, 200)) for m in means]
+
+    def one_run(share):
+        return {
+            "seconds": np.arange(3.0),
+            "curves": np.ones((4, 3)),
+            "shares": share,
+            "falls": np.ones((4, 3)),
+        }
+
+    cases = {(adaptation.ELBOW, change): list(map(one_run, each)) for change, each in shares.items()}
+    result = adaptation.findings(cases)
+    names = ("trained", "told", "memory", "kept")
+    expected = {"weakness": (True, True, False, False), "device": (True, True, True, True)}
+    assert result.holds == {
+        f"{c}_{n}": x for c, own in expected.items() for n, x in zip(names, own, strict=True)
+    }
+    assert result.measured["weakness_memory"] == "does not"
+    assert result.measured["device_memory"] == "does"
+    row = {(row.quantity, row.condition): row for row in result.merits}
+    gain = row["gain of memory over blind", f"{adaptation.ELBOW}, weakness"]
+    pairs = [100.0 * (own[3] - own[1]) for own in shares["weakness"]]
+    np.testing.assert_allclose(gain.values, np.mean(pairs, axis=1), atol=1e-9)
+    low, high = stats.ttest_1samp(pairs[1], 0.0).confidence_interval()
+    assert f"{pairs[1].mean():+.2f}, {low:.2f} to {high:.2f}" in gain.note
 
 
 @pytest.mark.slow

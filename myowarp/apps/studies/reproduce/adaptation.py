@@ -1,7 +1,7 @@
 """Adaptation: policies trained on patients who change, told, remembering or neither, beside one that was not.
 
-Open in the paper, which names the problem and gives no protocol, and chosen here: patients whose muscles
-become weaker in mid-episode, each to a share that is drawn, at a moment that is drawn; all are trained alike.
+Open in the paper, which names the problem and gives no protocol, and chosen here: `CHANGES` of a drawn extent
+that come in mid-episode, at a drawn moment; the policies of a change are trained alike.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ from myowarp.apps.reports.result import PERCENT, Merit
 from myowarp.apps.studies import adaptation
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab, Tick
 from myowarp.apps.studies.reproduce.policies import Training, available
+from myowarp.definitions.condition import Condition
 from myowarp.definitions.setup import Setup
 from myowarp.inks import INKS
-from myowarp.models.conditions import Ramp, Sarcopenia, Uniform
+from myowarp.models.conditions import JointDevice, Ramp, Sarcopenia, Uniform
 from myowarp.tasks.setups import complete
 
 if TYPE_CHECKING:
@@ -40,51 +41,57 @@ SETTINGS: dict[str, dict[str, Any]] = {
     HAND: {"samples": 2_000_000, "parent": PREFIX + HAND, "num_worlds": 256, "minibatches": 4},
 }
 """Settings of a training by task, beside its preset; all kinds have the same."""
+MOMENT = Uniform(0.2, 1.0)  # s
+WEAKNESS, DEVICE = "weakness", "device"
+CHANGES: dict[str, Condition] = {
+    WEAKNESS: Sarcopenia(Ramp(1.0, Uniform(0.0, 1.0, each=True), onset=MOMENT)),
+    DEVICE: JointDevice(stiffness=0.0, assistance=Ramp(0.0, Uniform(0.0, 2.0), onset=MOMENT), delay=0.1),
+}
+"""Changes of patients, by name."""
+Case = tuple[str, str]
+CASES: tuple[Case, ...] = (ELBOW, WEAKNESS), (ELBOW, DEVICE), (HAND, WEAKNESS)
 SEEDS = (0, 1, 2)
 QUICK_EPISODES = 32
 KEPT = 0.9  # share of what a told policy solves
 
 
-def patients() -> tuple[Sarcopenia, ...]:
-    """Return patients who change: from a drawn moment on every muscle has a drawn share of its force."""
-    return (Sarcopenia(Ramp(1.0, Uniform(0.0, 1.0, each=True), onset=Uniform(0.2, 1.0))),)
-
-
-def training(task: str, kind: str) -> Training:
-    """Return how a kind of policy is trained for a task."""
+def training(case: Case, kind: str) -> Training:
+    """Return how a kind of policy is trained for a task and a change."""
+    task, change = case
     own = dict(SETTINGS[task])
     samples, parent = own.pop("samples"), own.get("parent")
-    return Training(f"changing_{task}_{kind}", task, patients, samples, own | KINDS[kind], parent=parent)
+    name = f"changing_{task}_{change}_{kind}"
+    return Training(name, task, lambda: (CHANGES[change],), samples, own | KINDS[kind], parent=parent)
 
 
-def seeds_of(lab: Lab, task: str) -> list[int]:
+def seeds_of(lab: Lab, case: Case) -> list[int]:
     """Return the seeds of which all kinds of policies are there."""
     seeds = SEEDS[:1] if lab.quick else SEEDS
-    return [s for s in seeds if lab.retrain or all(available(training(task, kind), s) for kind in KINDS)]
+    return [s for s in seeds if lab.retrain or all(available(training(case, kind), s) for kind in KINDS)]
 
 
 def run(lab: Lab) -> Findings:
     """Run the protocol."""
-    wanted = {task: seeds_of(lab, task) for task in SETTINGS}
+    wanted = {case: seeds_of(lab, case) for case in CASES}
     lab.expect(sum(map(len, wanted.values())))
-    found = {task: [_study(lab, task, seed) for seed in seeds] for task, seeds in wanted.items()}
-    return findings({task: runs for task, runs in found.items() if runs})
+    found = {case: [_study(lab, case, seed) for seed in seeds] for case, seeds in wanted.items()}
+    return findings({case: runs for case, runs in found.items() if runs})
 
 
-def _study(lab: Lab, task: str, seed: int) -> dict[str, np.ndarray]:
+def _study(lab: Lab, case: Case, seed: int) -> dict[str, np.ndarray]:
     """Return time after the change [s], success at it and the share of solved steps after it.
 
     Shapes (steps,), (policies, steps) and (policies, episodes); `falls` has success before, drop and time of
     recovery, shape (policies, 3).
     """
+    task, change = case
     policies = {BASELINE: load_baseline(task).checkpoint}
-    policies |= {kind: lab.policy(training(task, kind), seed) for kind in KINDS}
+    policies |= {kind: lab.policy(training(case, kind), seed) for kind in KINDS}
     episodes = QUICK_EPISODES if lab.quick else adaptation.EPISODES
 
     def measure(tick: Tick) -> dict[str, np.ndarray]:
-        setup = complete(
-            Setup(task=task, conditions=patients(), physics="parity", seed=EVALUATION_SEED).over(lab.setup)
-        )
+        asked = Setup(task=task, conditions=(CHANGES[change],), physics="parity", seed=EVALUATION_SEED)
+        setup = complete(asked.over(lab.setup))
         acting = [Policy(name, checkpoint=checkpoint) for name, checkpoint in policies.items()]
         result = adaptation.study(setup, acting, episodes)
         falls = [(p.before, p.drop, p.recovery) for p in result.policies]
@@ -97,23 +104,24 @@ def _study(lab: Lab, task: str, seed: int) -> dict[str, np.ndarray]:
 
     settings = {
         "task": task,
-        "conditions": list(map(str, patients())),
+        "conditions": [str(CHANGES[change])],
         "seed": EVALUATION_SEED,
         "episodes": episodes,
     }
-    return lab.kept(f"{task}-seed{seed}", settings, measure, *policies.values())
+    return lab.kept(f"{task}-{change}-seed{seed}", settings, measure, *policies.values())
 
 
-def findings(found: Mapping[str, list[dict[str, np.ndarray]]]) -> Findings:
-    """Return figures of merit, claims and figure, of the runs of each task."""
+def findings(found: Mapping[Case, list[dict[str, np.ndarray]]]) -> Findings:
+    """Return figures of merit, claims and figure, of the runs of each task and change."""
     rows: list[Merit] = []
     lines: list[str] = []
-    holds = dict.fromkeys(("trained", "told", "memory", "kept"), True)
-    for task, runs in found.items():
+    holds = {change: dict.fromkeys(("trained", "told", "memory", "kept"), True) for _, change in found}
+    for (task, change), runs in found.items():
+        case = f"{task}, {change}"
         falls = np.array([own["falls"] for own in runs])  # (seeds, policies, 3)
         after = np.array([own["shares"].mean(axis=1) for own in runs])  # (seeds, policies)
         for p, name in enumerate((BASELINE, *KINDS)):
-            who = f"{task}, {name}"
+            who = f"{case}, {name}"
             rows.append(Merit("solved before the change", "%", who, 100.0 * falls[:, p, 0], within=PERCENT))
             rows.append(Merit("drop", "%", who, 100.0 * falls[:, p, 1]))
             rows.append(Merit("time to half of the drop", "s", who, falls[:, p, 2]))
@@ -121,19 +129,20 @@ def findings(found: Mapping[str, list[dict[str, np.ndarray]]]) -> Findings:
         for name in KINDS:
             over = BASELINE if name == BLIND else BLIND
             gains = [_gain(own, name, over) for own in runs]
-            note = "; ".join(f"{low:.2f} to {high:.2f}" for _, low, high in gains)
-            what, means = f"gain of {name} over {over}", [gain for gain, *_ in gains]
-            rows.append(Merit(what, "%", task, means, note=f"each seed's interval over episodes: {note}"))
-            claim = "trained" if name == BLIND else name
-            holds[claim] &= all(low > 0.0 for _, low, _ in gains)
-            lines.append(f"* {task}: {name} {np.mean(means):+.2f} points over {over} ({note}).")
+            means = [gain for gain, *_ in gains]
+            note = "; ".join(f"{gain:+.2f}, {low:.2f} to {high:.2f}" for gain, low, high in gains)
+            what, said = f"gain of {name} over {over}", f"each seed, with its interval over episodes: {note}"
+            rows.append(Merit(what, "%", case, means, note=said))
+            holds[change]["trained" if name == BLIND else name] &= all(low > 0.0 for _, low, _ in gains)
+            lines.append(f"* {case}: {name} {np.mean(means):+.2f} points over {over} ({note}).")
         told, memory = (1 + list(KINDS).index(name) for name in (TOLD, MEMORY))
-        holds["kept"] &= bool((after[:, memory] >= KEPT * after[:, told]).all())
+        holds[change]["kept"] &= bool((after[:, memory] >= KEPT * after[:, told]).all())
     episodes = next(iter(found.values()))[0]["shares"].shape[1]
-    seeds = ", ".join(f"{len(runs)} of {task}" for task, runs in found.items())
+    seeds = ", ".join(f"{len(runs)} of {task} ({change})" for (task, change), runs in found.items())
     measured = {"lines": "\n".join(lines), "episodes": episodes, "seeds": seeds}
-    measured |= {name: "does" if held else "does not" for name, held in holds.items()}
-    return Findings(rows, holds, lambda figure: draw(figure, found), measured, in_worlds=False)
+    held = {f"{change}_{name}": own for change, each in holds.items() for name, own in each.items()}
+    measured |= {name: "does" if own else "does not" for name, own in held.items()}
+    return Findings(rows, held, lambda figure: draw(figure, found), measured, in_worlds=False)
 
 
 def _gain(own: Mapping[str, np.ndarray], name: str, over: str) -> tuple[float, float, float]:
@@ -143,19 +152,21 @@ def _gain(own: Mapping[str, np.ndarray], name: str, over: str) -> tuple[float, f
     return float(pairs.mean()), *mean_interval(pairs, -100.0, 100.0)
 
 
-def draw(figure: Figure, found: Mapping[str, list[dict[str, np.ndarray]]]) -> None:
-    """Draw success around the change, a panel a task."""
+def draw(figure: Figure, found: Mapping[Case, list[dict[str, np.ndarray]]]) -> None:
+    """Draw success around the change, a panel a task and change."""
     figure.set_figheight(3.6)
     panels = figure.subplots(1, len(found), squeeze=False)[0]
-    for axes, (task, runs) in zip(panels, found.items(), strict=True):
+    for axes, (case, runs) in zip(panels, found.items(), strict=True):
         seconds = runs[0]["seconds"]
         lasts = np.isfinite(runs[0]["curves"]).all(axis=0)
         for p, (name, color) in enumerate(zip((BASELINE, *KINDS), INKS, strict=False)):
             curves = 100.0 * np.array([own["curves"][p] for own in runs])[:, lasts]
             panel.band(axes, seconds[lasts], panel.extent(curves), color=color, alpha=0.15, label=name)
         axes.axvline(0.0, color=panel.INK, linewidth=0.8, linestyle=":")
-        axes.set(title=task, xlabel="time after the change [s]", ylabel="episodes that are solved [%]")
-    panels[-1].legend(loc="lower right")
+        axes.set(
+            title=", ".join(case), xlabel="time after the change [s]", ylabel="episodes that are solved [%]"
+        )
+    panels[0].legend(loc="lower right")
 
 
 EXPERIMENT = Experiment("adaptation", run, ignores=("models", "seeds", "num_worlds"))
