@@ -37,7 +37,7 @@ KINDS: dict[str, dict[str, Any]] = {
 }
 ELBOW, HAND = "myoElbowPose1D6MRandom-v0", "myoHandReachRandom-v0"
 SETTINGS: dict[str, dict[str, Any]] = {
-    ELBOW: {"samples": 200_000},
+    ELBOW: {"samples": 600_000},
     HAND: {"samples": 2_000_000, "parent": PREFIX + HAND, "num_worlds": 256, "minibatches": 4},
 }
 """Settings of a training by task, beside its preset; all kinds have the same."""
