@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tiny_runs import said
 
 from benchmarks.baselines import DOCS, MOST_BYTES, add, page
 from myowarp.apps.policies import baselines
@@ -31,29 +32,11 @@ REACHED = ("myoElbowPose1D6MRandom-v0", "myoFingerReachFixed-v0")
 
 
 @pytest.fixture
-def no_simulation(monkeypatch):
-    """Whoever builds a simulation fails."""
-
-    def refuse(*args, **options):
-        pytest.fail("a simulation was built")
-
-    monkeypatch.setattr("myowarp.bridge_gym.MyoWarpVectorEnv.__init__", refuse)
-
-
-@pytest.fixture
 def copies(tmp_path, monkeypatch):
     """Work on a copy of a baseline, which may be damaged; return its folder."""
     shutil.copytree(baselines.FOLDER / REACHED[0], tmp_path / REACHED[0])
     monkeypatch.setattr(baselines, "FOLDER", tmp_path)
     return tmp_path / REACHED[0]
-
-
-def said(result):
-    """Return the one sentence of a command that failed."""
-    status, _, err = result
-    assert status == 2, err
-    (line,) = [line for line in err.splitlines() if line.startswith("myowarp: ")]
-    return line.removeprefix("myowarp: ")
 
 
 def test_there_are_baselines():

@@ -53,16 +53,6 @@ def rollout(run):
     return call
 
 
-@pytest.fixture
-def no_simulation(monkeypatch):
-    """Whoever builds a simulation fails."""
-
-    def refuse(*args, **options):
-        pytest.fail("a simulation was built")
-
-    monkeypatch.setattr("myowarp.bridge_gym.MyoWarpVectorEnv.__init__", refuse)
-
-
 def direct(policy, num_steps, seed, worlds=3):
     """Roll out through Gymnasium; return what a recording should hold, and the successes of what ended."""
     env = gym.make_vec(f"MyoWarp/{ELBOW}", num_envs=worlds, device="cpu", autoreset_mode="same_step")
