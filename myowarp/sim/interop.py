@@ -62,6 +62,31 @@ def _cloned(arrays: Mapping[str, wp.array]) -> dict[str, wp.array]:
     return {name: wp.clone(array) for name, array in arrays.items()}
 
 
+def dense(tensor: Any) -> Any:
+    """Return a torch tensor without its gradient.
+
+    Raises:
+        ValueError: It is sparse, or has no values.
+    """
+    tensor = tensor.detach()
+    if tensor.is_meta or str(tensor.layout) != "torch.strided":
+        raise ValueError(
+            f"actions must be a dense tensor with values, got {tensor.layout} on {tensor.device}"
+        )
+    return tensor
+
+
+def on_host(tensor: Any) -> np.ndarray:
+    """Return the values of a torch tensor; as float32 where it has fewer bits, since NumPy has no bfloat16.
+
+    Raises:
+        ValueError: It is sparse, or has no values.
+    """
+    tensor = dense(tensor).cpu()
+    host: np.ndarray = (tensor if tensor.dtype.itemsize == 8 else tensor.float()).numpy()
+    return host
+
+
 class ActionInput:
     """Takes the actions of users of NumPy, torch or Warp."""
 
@@ -90,17 +115,12 @@ class ActionInput:
             write(self._action, actions)
             return
         if hasattr(actions, "detach"):
-            tensor = actions.detach()
-            if tensor.is_meta or str(tensor.layout) != "torch.strided":
-                raise ValueError(
-                    f"actions must be a dense tensor with values, got {tensor.layout} on {tensor.device}"
-                )
+            tensor = dense(actions)
             self._check(tensor.dtype, tensor.is_floating_point(), tuple(tensor.shape))
             if tensor.device.type != "cpu":
                 self._action.assign(wp.from_torch(tensor.float().contiguous()))
                 return
-            # NumPy has no bfloat16; what is larger than float32 holds is clipped below.
-            actions = (tensor if tensor.dtype.itemsize == 8 else tensor.float()).numpy()
+            actions = on_host(tensor)
         try:
             host = np.asarray(actions)
         except (ValueError, RuntimeError) as error:  # rows of several lengths, or parts that are no arrays

@@ -22,6 +22,7 @@ from myowarp.definitions.registry import did_you_mean
 from myowarp.definitions.task import TaskSpec
 from myowarp.models.bodies.from_file import OPENSIM
 from myowarp.motion.storage import Storage, read_storage
+from myowarp.sim.interop import on_host
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.outside import load
 
@@ -128,7 +129,7 @@ def acting(policy: Policy, sim: Simulation) -> Act:
                     f"policy {policy.name!r} must return actions of shape {sim.action.shape}, got None; does "
                     "it end with return?"
                 )
-            return actions.detach().float().cpu().numpy() if hasattr(actions, "detach") else actions
+            return on_host(actions) if hasattr(actions, "detach") else actions
 
         return guarded
     if policy.name == "hold":
