@@ -72,13 +72,14 @@ def learning() -> dict[str, Any]:
     good = [min(own) for own in easy.values() if min(own) >= LEARNED]
     counts = [len(own) for own in easy.values()]
     walking = [run["evaluation"]["deterministic"] for run in load_baseline("myoLegWalk-v0").runs]
+    hard = ", ".join(f"{name} {both(task)}" for task, name in HARD.items())
     return {
         "easy": len(easy),
         "good": len(good),
         "least": min(good),
         "exception": "".join("; " + exception(task) for task in easy if min(easy[task]) < LEARNED),
         "seeds": f"{min(counts)} to {max(counts)}",
-        "hard": (hard := ", ".join(f"{name} {both(task)}" for task, name in HARD.items())),
+        "hard": hard,
         "stars": "".join(f" ({mark}: {text})" for mark, text in MARKS.items() if mark in hard),
         "speed": walking[0]["speed"],
         "cost": walking[0]["bhargava2004_per_kg_m"],

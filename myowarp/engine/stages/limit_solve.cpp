@@ -58,7 +58,7 @@ template <class V, class Inertia> struct LimitNewton {
     V *D, *J, *aref;
     const V zero;
     const W none;
-    V num_rows, iterations, scale, tolerance;
+    V iterations, scale, tolerance;
     W smooth_slope, smooth_curvature;  // of the cost without rows, along `search`
     Truth unfinished, unbracketed, busy;
 
@@ -72,7 +72,7 @@ template <class V, class Inertia> struct LimitNewton {
           L(block.take(num_entries)), inverse_pivot(block.take(n)), gradient(block.take(n)),
           search(block.take(n)), Ms(block.take(n)), change(block.take(n)), residual(block.take(n)),
           force(block.take(n)), weight(block.take(n)), D(block.take(n)), J(block.take(n)),
-          aref(block.take(n)), zero(splat<V>(0.0f)), none(widen(zero)), num_rows(zero),
+          aref(block.take(n)), zero(splat<V>(0.0f)), none(widen(zero)),
           iterations(zero), tolerance(block.model(options.tolerance)[0]), unfinished(zero != zero),
           unbracketed(unfinished), busy(unfinished) {
         V trace = zero;
@@ -82,6 +82,7 @@ template <class V, class Inertia> struct LimitNewton {
     }
 
     template <class Rows> void fetch(const Block<V>& block, const Limit* limits, Rows& rows) {
+        V num_rows = zero;
         for (int i = 0; i < n; ++i)
             D[i] = aref[i] = weight[i] = zero;
         for (int lane = 0; lane < LanesOf<V>::number; ++lane) {
