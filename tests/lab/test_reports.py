@@ -124,6 +124,7 @@ def test_an_essay_has_all_sections(name):
     assert rest == [heading for heading in known if heading in essay]
     assert set(known) - set(rest) < set(CLAIMS)  # one of the two lists may be missing
     assert all(essay[heading] for heading in rest)
+    assert "\n\n" not in essay["Verdict"]  # it becomes one line, in which a list could not be read
     for heading in ("The paper", "Protocol"):  # nothing is filled in there
         assert not [field for _, field, _, _ in string.Formatter().parse(essay[heading]) if field]
 

@@ -190,6 +190,21 @@ def test_work_of_motors_is_mujocos_torque_times_the_speed():
     assert len(watched.velocity) == 20
 
 
+def test_one_kind_that_contradicts_decides_about_all_kinds():
+    """Motors need fewer samples for the first, and the second is open; they accelerate less in both."""
+    names = ("success", "kicked", "work", "acceleration", "samples")
+    rows = {
+        ("PoseFixed", "muscles"): ([99, 98, 99], [90, 90, 90], [8, 9, 8.5], [40, 41, 42], [1, 1.1, 1.2]),
+        ("PoseFixed", "motors"): ([99, 99, 98], [90, 90, 90], [2, 2.1, 2.2], [10, 11, 12], [0.2, 0.2, 0.3]),
+        ("PoseRandom", "muscles"): ([91, 95, 92], [80, 70, 95], [5, 5.1, 5.2], [20, 21, 22], [1, 3, 2]),
+        ("PoseRandom", "motors"): ([97, 98, 99], [90, 70, 80], [7, 7.5, 7.1], [10, 11, 11], [2, 1, 2.5]),
+    }
+    found = motor.findings({k: dict(zip(names, map(np.array, v), strict=True)) for k, v in rows.items()})
+    assert found.holds == {"learned": True, "samples": None, "smooth": False, "work": False, "robust": False}
+    assert (found.measured["muscles"], found.measured["motors"]) == ("96", "98")
+    assert found.measured["work"] == f"{(8.5 / 2.1 * 5.1 / 7.2) ** 0.5:.2g}"
+
+
 def test_losses_are_judged_by_intervals():
     """Counts of 200 episodes: what is lost, gained and restored follows Newcombe's intervals."""
     task, other = conditions.QUICK_TASKS

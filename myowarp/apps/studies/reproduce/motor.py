@@ -9,7 +9,7 @@ import numpy as np
 from myowarp.apps.policies.checkpoint import Checkpoint, check_contract
 from myowarp.apps.policies.learned import LearnedPolicy
 from myowarp.apps.reports import panel
-from myowarp.apps.reports.result import PERCENT, Merit, merits, rises
+from myowarp.apps.reports.result import PERCENT, Merit, both, merits, rises
 from myowarp.apps.rollouts.run import Step, Watcher
 from myowarp.apps.rollouts.run import run as roll
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab, Tick
@@ -143,9 +143,9 @@ def findings(found: dict[tuple[str, str], dict[str, np.ndarray]]) -> Findings:
     )
 
     def differs(name: str, sign: float) -> bool | None:
-        """Whether muscles have more of it than motors in every kind, or less; None where a kind is open."""
-        apart = [rises(sign * (found[kind, "muscles"][name] - found[kind, "motors"][name])) for kind in kinds]
-        return None if None in apart else all(apart)
+        """Whether muscles have more of it than motors in every kind, or less; None where that is open."""
+        apart = (found[kind, "muscles"][name] - found[kind, "motors"][name] for kind in kinds)
+        return both(*(rises(sign * own) for own in apart))
 
     holds = {
         "learned": all(own["success"].min() >= 90.0 for own in found.values()),
@@ -154,8 +154,15 @@ def findings(found: dict[tuple[str, str], dict[str, np.ndarray]]) -> Findings:
         "work": differs("work", -1.0),
         "robust": differs("kicked", 1.0),
     }
+    means = {
+        name: np.array([[found[kind, finger][name].mean() for kind in kinds] for finger in FINGERS])
+        for name in MEASURED
+    }
+    ratios = {name: np.exp(-np.diff(np.log(means[name]), axis=0).mean()) for name in ("acceleration", "work")}
     measured = {
         "kinds": len(kinds),
+        **{finger: f"{own:.0f}" for finger, own in zip(FINGERS, means["success"].mean(axis=1), strict=True)},
+        **{name: f"{ratio:.2g}" for name, ratio in ratios.items()},
         "seeds": len(next(iter(found.values()))["success"]),
         "kick": KICK,
         "lines": "\n".join(_line(kind, found) for kind in kinds),
