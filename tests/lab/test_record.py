@@ -118,6 +118,26 @@ def test_command_writes_a_picture(capsys, monkeypatch, tmp_path):
     assert next(imageio_ffmpeg.read_frames(str(path)))["size"] == (2 * 64 + 2, 48)
 
 
+@pytest.mark.slow
+def test_policies_side_by_side_have_the_same_patient(capsys, monkeypatch, tmp_path):
+    """The picture of a policy beside itself has equal halves though the strength is drawn; titles aside."""
+    path = tmp_path / "a.png"
+    options = ("--device", "cpu", "--steps", 30, "--size", 64, 48, "--policy", "hold", "--overwrite")
+    patient = ("--conditions", "sarcopenia(strength=Ramp(1.0, Uniform(0.0, 0.5), onset=0.1))")
+    halves = {}
+    for other in ("hold", "zero"):
+        command = ("record", ELBOW, "-o", path, *options, *patient, "--beside-policy", other)
+        status, said = run(capsys, monkeypatch, *command)
+        if "drawing needs OpenGL" in said:
+            pytest.skip(said)
+        assert status == 0, said
+        frames = imageio_ffmpeg.read_frames(str(path))
+        width, height = next(frames)["size"]
+        picture = np.frombuffer(next(frames), np.uint8).reshape(height, width, 3)[16:].astype(int)
+        halves[other] = np.abs(picture[:, :64] - picture[:, -64:]).max()
+    assert halves["hold"] <= 8 < 80 <= halves["zero"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
@@ -129,6 +149,8 @@ def test_command_writes_a_picture(capsys, monkeypatch, tmp_path):
         (["--color", "pain"], "muscle color 'pain' unknown"),
         (["--beside", "old_age"], "condition 'old_age' unknown"),
         (["--policy", "best"], "policy 'best' unknown"),
+        (["--beside-policy", "best"], "policy 'best' unknown"),
+        (["--beside", "none", "--beside-policy", "zero"], "leave one of them out"),
         (["--camera", "nowhere"], "camera 'nowhere' unknown"),
     ],
 )

@@ -18,7 +18,7 @@ from myowarp.view.drawing.muscles import QUANTITIES
 
 @dataclass
 class Record:
-    """Film a policy: several worlds as tiles, or two sets of conditions side by side from the same state.
+    """Film a policy: several worlds as tiles, or two policies or sets of conditions side by side.
 
     Muscles are as wide as they are strong, and coloured by what they do. Targets are green, balls and a ghost
     in the posture of a pose task; tips of the limb are orange, and lines join them to their targets.
@@ -27,6 +27,9 @@ class Record:
 
     A healthy elbow beside a weak one:
     myowarp record myoElbowPose1D6MRandom-v0 --policy hold --beside sarcopenia
+
+    A policy beside another, in the same patient:
+    myowarp record myoElbowPose1D6MRandom-v0 --policy hold --beside-policy baseline
 
     A recorded motion over traces of its muscle forces:
     myowarp record --model gait.osim --motion out/trial --loads grf.xml
@@ -41,7 +44,10 @@ class Record:
     """Worlds, as tiles."""
     steps: Steps = None
     beside: Annotated[tuple[str, ...], optional("[NAME ...]")] = ()
-    """Film the same worlds with these conditions, too, side by side; "none" for no condition."""
+    """Film the same worlds with these conditions, too, side by side, from the same state; "none" for no
+    condition."""
+    beside_policy: Annotated[str | None, optional("NAME")] = None
+    """Film the same worlds under this policy, too, side by side, from the same state, the same patients."""
     color: Annotated[str | None, tyro.conf.arg(metavar="{" + ",".join(QUANTITIES) + "}")] = None
     """Quantity that colours muscles; by default activation, of a recorded motion force."""
     camera: Annotated[str | None, optional("NAME")] = None
@@ -65,15 +71,21 @@ class Record:
         if (source := self.recording.source(self.asked)) is not None:
             return self._film(source)
         asked = self.asked.setup
-        setups = [complete(asked)]
+        if self.beside and self.beside_policy is not None:
+            raise ValueError("--beside and --beside-policy are two comparisons; leave one of them out")
+        setups, names = [complete(asked)], [self.policy]
+        own = setups[0]
         if self.beside:
             changed = () if self.beside == ("none",) else self.beside
             setups.append(complete(dataclasses.replace(asked, conditions=changed)))
-        own = setups[0]
+            names.append(self.policy)
+        elif self.beside_policy is not None:
+            setups.append(own)
+            names.append(self.beside_policy)
         steps = own.episode_steps if self.steps is None else self.steps
         check_least(1, steps=steps, worlds=self.worlds)
         self._check_picture()
-        policy = find_policy(self.policy, own.spec)
+        policies = [find_policy(name, own.spec) for name in names]
         turned = self._check_output()
         sims = [Simulation(setup, self.worlds, autoreset="disabled") for setup in setups]
         look: dict[str, Any] = {
@@ -83,16 +95,17 @@ class Record:
             "legend": True,
         }
         films = []
-        for sim, setup in zip(sims, setups, strict=True):
-            title = ", ".join(setup.plain()["conditions"]) or "healthy"
-            films.append(Film(sim, range(self.worlds), title=title if self.beside else "", **look))
+        for sim, setup, name in zip(sims, setups, names, strict=True):
+            conditions = ", ".join(setup.plain()["conditions"]) or "healthy"
+            title = conditions if self.beside else name if len(sims) > 1 else ""
+            films.append(Film(sim, range(self.worlds), title=title, **look))
         for film in films:
             if not turned:
                 film.open()
-        acts = [acting(policy, sim) for sim in sims]
+        acts = [acting(policy, sim) for policy, sim in zip(policies, sims, strict=True)]
         watchers: list[Watcher] = [films[0]]
-        if self.beside:
-            watchers.append(Beside(sims[0], sims[1], acts[1], films[1]))
+        if len(sims) > 1:
+            watchers.append(Beside(sims[0], sims[1], acts[1], films[1], patients=not self.beside))
         console = Console(stderr=True, highlight=False, soft_wrap=True)
         with progress("Simulating", "steps", steps, console) as bar:
             run(sims[0], acts[0], steps, *watchers, bar)
@@ -140,7 +153,8 @@ class Record:
 
         trial = self.recording
         assert trial.motion is not None
-        wrong = {"worlds": self.worlds != 1, "beside": self.beside, "camera": self.camera}
+        wrong: dict[str, Any] = {"worlds": self.worlds != 1, "beside": self.beside, "camera": self.camera}
+        wrong["beside-policy"] = self.beside_policy is not None
         for name, given in wrong.items():
             if given:
                 raise ValueError(f"--{name} belongs to a policy that acts; leave it out beside --motion")

@@ -1,4 +1,4 @@
-"""The same worlds beside themselves: another body, other conditions, always from the same states."""
+"""The same worlds beside themselves: another body, policy, other conditions, always from the same states."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ class Beside(Watcher):
     A world that ends in one starts its next episode in both, again from the same state.
     """
 
-    def __init__(self, first: Simulation, sim: Simulation, act: Act, *watchers: Watcher) -> None:
+    def __init__(
+        self, first: Simulation, sim: Simulation, act: Act, *watchers: Watcher, patients: bool = False
+    ) -> None:
         """Prepare.
 
         Args:
@@ -23,14 +25,15 @@ class Beside(Watcher):
             sim: Another one of its task, without autoreset.
             act: Who acts there.
             watchers: Who looks there.
+            patients: Whether it has the first one's patients, too, whose conditions are the same.
         """
-        self._first, self._sim, self._watchers = first, sim, watchers
+        self._first, self._sim, self._watchers, self._patients = first, sim, watchers, patients
         self._steps = stepped(sim, act)
 
     def start(self, mask: np.ndarray) -> None:
-        """Take over the states in which the worlds of the mask start, all but the conditions."""
+        """Take over the states in which the worlds of the mask start, the conditions if so asked."""
         self._sim.reset(mask, seeds_of(self._sim) if mask.all() else None)
-        set_state(self._sim, get_state(self._first, mask), mask, conditions=False)
+        set_state(self._sim, get_state(self._first, mask), mask, conditions=self._patients)
         for watcher in self._watchers:
             watcher.start(mask)
 
