@@ -157,10 +157,15 @@ docs: $(TEST_STAMP) ## Build the documentation site into out/docs
 	$(BIN)/sphinx-build -W --keep-going -j auto docs out/docs
 	@echo "Open out/docs/index.html"
 
+CHANGED := myowarp/apps/studies/reproduce/policies/changing_myoElbowPose1D6MRandom-v0_device
+
 pictures: setup ## Draw every body and task family, and what trained policies do, into docs/pictures
 	$(BIN)/python docs/pictures/contact_sheet.py
 	$(BIN)/python docs/pictures/film_strips.py
 	$(BIN)/python docs/pictures/demo.py
+	$(BIN)/myowarp record myoElbowPose1D6MRandom-v0 --policy $(CHANGED)_memory/0 --beside-policy $(CHANGED)_blind/0 \
+	--conditions 'joint_device(stiffness=0.0, assistance=Ramp(0.0, 2.0, onset=0.6), delay=0.1)' --seed 1 \
+	--size 360 270 --fps 25 --output docs/pictures/adaptation.gif --overwrite
 	$(BIN)/myowarp cohort examples/elbow_cohort.csv --task myoElbowPose1D6MFixed-v0 --reset fixed --steps 500 --output out/cohort --overwrite
 	$(BIN)/myowarp plot assistance out/cohort --output docs/pictures/assistance.png --overwrite
 

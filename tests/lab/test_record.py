@@ -7,6 +7,7 @@ import pytest
 import zstandard
 
 from myowarp.apps.cli.main import main
+from myowarp.apps.cli.record import told_apart
 from myowarp.apps.rollouts.beside import Beside
 from myowarp.apps.rollouts.film import Film, write
 from myowarp.apps.rollouts.run import run as roll
@@ -116,6 +117,13 @@ def test_command_writes_a_picture(capsys, monkeypatch, tmp_path):
     assert f"Saved {path}".replace(" ", "") in said.replace(" ", "")
     assert said.endswith("orange balls are the tips of the limb, a green shadow is the wanted posture")
     assert next(imageio_ffmpeg.read_frames(str(path)))["size"] == (2 * 64 + 2, 48)
+
+
+def test_titles_are_what_tells_policies_apart():
+    assert told_apart(["runs/blind/0", "runs/memory/0"]) == ["blind", "memory"]
+    assert told_apart(["runs/a/0", "runs/b/1"]) == ["a/0", "b/1"]
+    assert told_apart(["baseline", "runs/memory"]) == ["baseline", "runs/memory"]
+    assert told_apart(["hold", "hold"]) == ["hold", "hold"]
 
 
 @pytest.mark.slow

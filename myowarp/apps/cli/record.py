@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -95,9 +96,9 @@ class Record:
             "legend": True,
         }
         films = []
-        for sim, setup, name in zip(sims, setups, names, strict=True):
-            conditions = ", ".join(setup.plain()["conditions"]) or "healthy"
-            title = conditions if self.beside else name if len(sims) > 1 else ""
+        titles = [", ".join(setup.plain()["conditions"]) or "healthy" for setup in setups]
+        titles = titles if self.beside else told_apart(names) if len(sims) > 1 else [""]
+        for sim, title in zip(sims, titles, strict=True):
             films.append(Film(sim, range(self.worlds), title=title, **look))
         for film in films:
             if not turned:
@@ -171,3 +172,12 @@ class Record:
             self.output, recorded, self.color or recorded.colored, self.size, self.fps, console, self.steps
         )
         console.print(f"Saved {self.output}")
+
+
+def told_apart(names: list[str]) -> list[str]:
+    """Return names of policies without the folders that they have in common, to leave room in a picture."""
+    parts = [Path(name).parts for name in names]
+    if len({len(own) for own in parts}) > 1:
+        return names
+    differ = [len(set(level)) > 1 for level in zip(*parts, strict=True)]
+    return ["/".join(compress(own, differ)) or name for name, own in zip(names, parts, strict=True)]
