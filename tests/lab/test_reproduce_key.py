@@ -93,7 +93,7 @@ def test_gains_of_adaptation_are_differences_in_the_same_episodes(found):
             assert gain == pytest.approx(after[f"{task}, {kind}"] - after[f"{task}, {over}"])
             assert gain > -10.0
     cases = {tuple(row["condition"].split(", ")[:2]) for row in result["merits"]}
-    assert cases == {(adaptation.ELBOW, change) for change in adaptation.CHANGES}
+    assert cases == {(adaptation.ELBOW, change) for change in (adaptation.WEAKNESS, adaptation.DEVICE)}
     assert json.loads((folder / "result.json").read_text())["policies"] == "of the package"
 
 

@@ -1,12 +1,13 @@
 """Adaptation: policies trained on patients who change, told, remembering or neither, beside one that was not.
 
-Open in the paper, which names the problem and gives no protocol, and chosen here: `CHANGES` of a drawn extent
+Open in the paper, which names the problem and gives no protocol, and chosen here: changes of a drawn extent
 that come in mid-episode, at a drawn moment; the policies of a change are trained alike.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -43,16 +44,22 @@ SETTINGS: dict[str, dict[str, Any]] = {
 """Settings of a training by task, beside its preset; all kinds have the same."""
 MOMENT = Uniform(0.2, 1.0)  # s
 WEAKNESS, DEVICE = "weakness", "device"
-CHANGES: dict[str, Condition] = {
-    WEAKNESS: Sarcopenia(Ramp(1.0, Uniform(0.0, 1.0, each=True), onset=MOMENT)),
-    DEVICE: JointDevice(stiffness=0.0, assistance=Ramp(0.0, Uniform(0.0, 2.0), onset=MOMENT), delay=0.1),
-}
-"""Changes of patients, by name."""
+WORN = {ELBOW: "", HAND: "flexion"}
+"""Joint of the device: where the elbow wears its exoskeleton, and the wrist."""
 Case = tuple[str, str]
-CASES: tuple[Case, ...] = (ELBOW, WEAKNESS), (ELBOW, DEVICE), (HAND, WEAKNESS)
+CASES: tuple[Case, ...] = tuple(product((ELBOW, HAND), (WEAKNESS, DEVICE)))
 SEEDS = (0, 1, 2)
 QUICK_EPISODES = 32
 KEPT = 0.9  # share of what a told policy solves
+
+
+def change_of(case: Case) -> Condition:
+    """Return how the patients of a case change."""
+    task, change = case
+    if change == WEAKNESS:
+        return Sarcopenia(Ramp(1.0, Uniform(0.0, 1.0, each=True), onset=MOMENT))
+    share = Ramp(0.0, Uniform(0.0, 2.0), onset=MOMENT)
+    return JointDevice(WORN[task], stiffness=0.0, assistance=share, delay=0.1)
 
 
 def training(case: Case, kind: str) -> Training:
@@ -61,7 +68,7 @@ def training(case: Case, kind: str) -> Training:
     own = dict(SETTINGS[task])
     samples, parent = own.pop("samples"), own.get("parent")
     name = f"changing_{task}_{change}_{kind}"
-    return Training(name, task, lambda: (CHANGES[change],), samples, own | KINDS[kind], parent=parent)
+    return Training(name, task, lambda: (change_of(case),), samples, own | KINDS[kind], parent=parent)
 
 
 def seeds_of(lab: Lab, case: Case) -> list[int]:
@@ -90,7 +97,7 @@ def _study(lab: Lab, case: Case, seed: int) -> dict[str, np.ndarray]:
     episodes = QUICK_EPISODES if lab.quick else adaptation.EPISODES
 
     def measure(tick: Tick) -> dict[str, np.ndarray]:
-        asked = Setup(task=task, conditions=(CHANGES[change],), physics="parity", seed=EVALUATION_SEED)
+        asked = Setup(task=task, conditions=(change_of(case),), physics="parity", seed=EVALUATION_SEED)
         setup = complete(asked.over(lab.setup))
         acting = [Policy(name, checkpoint=checkpoint) for name, checkpoint in policies.items()]
         result = adaptation.study(setup, acting, episodes)
@@ -104,7 +111,7 @@ def _study(lab: Lab, case: Case, seed: int) -> dict[str, np.ndarray]:
 
     settings = {
         "task": task,
-        "conditions": [str(CHANGES[change])],
+        "conditions": [str(change_of(case))],
         "seed": EVALUATION_SEED,
         "episodes": episodes,
     }
