@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from myowarp.definitions.scene import Scene
 
 SPANS = ("episode", "life")
-MOST = 3.0
-"""Largest share that is no slip of percent: three times the whole."""
+MOST = 4.0
+"""Largest share that is no slip of percent: the strongest brace of `reproduce cohort-exo`."""
 
 
 @dataclass(frozen=True)

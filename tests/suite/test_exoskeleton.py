@@ -270,7 +270,7 @@ def test_other_bodies_cannot_wear_it(body):
         ({"assistance": -0.1}, r"^exoskeleton assistance must be >= 0, got -0\.1$"),
         (
             {"assistance": Uniform(0.0, 40.0)},
-            r"^exoskeleton assistance must be at most 3 times the muscles' torque, got 40; "
+            r"^exoskeleton assistance must be at most 4 times the muscles' torque, got 40; "
             r"for 40 % write 0\.4$",
         ),
         ({"forearm_mass": -1}, r"^exoskeleton forearm_mass must be >= 0, got -1$"),

@@ -179,7 +179,7 @@ def test_legs_can_wear_devices_at_hips_knees_and_ankles():
         ({"rest": np.nan}, "joint_device rest must be a finite number, got nan"),
         (
             {"assistance": 40},
-            "joint_device assistance must be at most 3 times the muscles' torque, got 40; for 40 % write 0.4",
+            "joint_device assistance must be at most 4 times the muscles' torque, got 40; for 40 % write 0.4",
         ),
         (
             {"rest": 90},

@@ -129,7 +129,7 @@ class TestFormula:
             ({"signal": -0.1}, "motor_noise signal must be >= 0, got -0.1"),
             (
                 {"signal": 10},
-                "motor_noise signal must be at most 3 times full excitation, got 10; for 10 % write 0.1",
+                "motor_noise signal must be at most 4 times full excitation, got 10; for 10 % write 0.1",
             ),
             ({"constant": {"BAR": 0.1}}, "muscle 'BAR' unknown; did you mean BRA?"),
         ],

@@ -65,7 +65,7 @@ class TestForce:
 
 def test_percent_is_no_strength():
     """A share of 30 would be thirty times healthy."""
-    message = "sarcopenia strength must be at most 3 times the healthy one, got 30; for 30 % write 0.3"
+    message = "sarcopenia strength must be at most 4 times the healthy one, got 30; for 30 % write 0.3"
     for strength in (30, Ramp(1.0, Uniform(0.2, 30.0)), {"BRA": 30}):
         with pytest.raises(ValueError, match=f"^{message}$"):
             simulation(ELBOW, 1, Sarcopenia(strength))
