@@ -65,6 +65,7 @@ class CohortColumn:
             condition has it.
         changes: Whether it may change within an episode.
         draws: Whether it may be drawn.
+        of: Column whose entry it belongs to: where that one is empty, this one may be, too.
     """
 
     condition: str
@@ -76,6 +77,7 @@ class CohortColumn:
     otherwise: float | None = None
     changes: bool = True
     draws: bool = True
+    of: str = ""
 
     def expected(self) -> str:
         """Return what an entry has to be."""
@@ -212,7 +214,9 @@ def _columns() -> Registry[CohortColumn]:
         "tendon_transfer": Switch("tendon_transfer", "affected", "Tendon transfer"),
         "reafferentation": Switch("reafferentation", "affected", "Reafferentation"),
         "tendon_tear": TornMuscles("tendon_tear", "muscles", "Torn tendon"),
-        "tear_time": CohortColumn("tendon_tear", "time", "Time of the tear", "s", changes=False),
+        "tear_time": CohortColumn(
+            "tendon_tear", "time", "Time of the tear", "s", changes=False, of="tendon_tear"
+        ),
         "exo_assistance": Share("exoskeleton", "assistance", "Exoskeleton, share of muscle torque"),
         "exo_mass": CohortColumn("exoskeleton", "forearm_mass", "Exoskeleton on the forearm", "kg"),
         "load_mass": CohortColumn("load", "mass", "Load in the hand", "kg"),
@@ -255,6 +259,8 @@ def conditions_of(entries: Entries, spec: TaskSpec, repeats: int = 1) -> tuple[C
             for name in names
         }
         parameters = _tear(values) if condition == "tendon_tear" else _completed(condition, values)
+        if "fatigue_rate" in values:
+            parameters["affected"] = _tiring(values)
         if parameters:
             found.append(CONDITIONS[condition](**parameters))
             _blaming(names, found[-1].check, spec)
@@ -283,6 +289,17 @@ def _tear(values: Entries) -> dict[str, Any]:
     if "time" in values:
         transmission = Ramp(1.0, left, onset=parameter_of(values["time"]))  # type: ignore[arg-type]
     return {"muscles": torn, "transmission": transmission} if torn else {}
+
+
+def _tiring(values: Entries) -> np.ndarray:
+    """Return the share of muscles that tires in each world, 0 for patients who neither tire nor are tired.
+
+    Motor units that follow the excitation and never tire would still delay it: a patient would move otherwise
+    than in a table without the column.
+    """
+    rates = values["fatigue_rate"]
+    initial = values.get("initial", [0.0] * len(rates))
+    return np.array([float((rate, tired) != (0.0, 0.0)) for rate, tired in zip(rates, initial, strict=True)])
 
 
 def _completed(condition: str, values: Entries) -> dict[str, Any]:

@@ -67,6 +67,31 @@ def test_patients_are_as_if_alone(five, who):
     assert len(np.unique(courses.to_numpy().round(4), axis=1).T) == 10
 
 
+NEUTRAL = {"exo_assistance": 0.0, "load_mass": 0.0, "noise_signal": 0.0, "tendon_tear": "", "tear_time": ""}
+
+
+@pytest.mark.parametrize("tiring", [{"fatigue_rate": 0.0}, {"force_loss_rate": 0.0}])
+def test_columns_that_say_nothing_of_a_patient_change_nothing(tiring):
+    """Bit for bit, and beside patients of whom they do say something."""
+    patients = {"strength": [1.0, 0.4]}
+    bare = cohort(pd.DataFrame(patients)).samples
+    ill = {
+        "exo_assistance": 0.5,
+        "load_mass": 1.0,
+        "noise_signal": 0.1,
+        "tendon_tear": "BRA",
+        "tear_time": 0.06,
+    }
+    rows = {name: [entry, entry, ill.get(name, 0.5)] for name, entry in (NEUTRAL | tiring).items()}
+    full = cohort(pd.DataFrame({"strength": [1.0, 0.4, 0.4]} | rows)).samples
+    columns = ["time", "tracking_error", "mean_activation", "total_force", "reward"]
+    own = full[full["patient"] != full["patient"].iloc[-1]]
+    pd.testing.assert_frame_equal(
+        bare[columns].reset_index(drop=True), own[columns].reset_index(drop=True), check_exact=True
+    )
+    assert not np.allclose(full["total_force"][-STEPS:], bare["total_force"][-STEPS:], rtol=0.01)
+
+
 def test_random_actions_are_a_trials_own():
     """The same for every patient, however many there are."""
     many = cohort(PATIENTS, policy="random", trials=3).samples

@@ -158,17 +158,17 @@ def test_names_of_muscles_may_lack_their_side():
     [
         (
             "strength\n1\n\n-0.5\n",
-            r"^cohort row 2 \(patient '2'\), column 'strength': needs a share in 0\.\.3, such as 0\.3 for "
+            r"^cohort row 2 \(patient '2'\), column 'strength': needs a share in 0\.\.4, such as 0\.3 for "
             r"30 %, got '-0\.5'$",
         ),
         (
             "exo_assistance\n40\n",
-            r"^cohort row 1 \(patient '1'\), column 'exo_assistance': needs a share in 0\.\.3, such as 0\.3 "
+            r"^cohort row 1 \(patient '1'\), column 'exo_assistance': needs a share in 0\.\.4, such as 0\.3 "
             r"for 30 %, got '40'$",
         ),
         (
             "patient,strength\nA,\n",
-            r"^cohort row 1 \(patient 'A'\), column 'strength': needs a share in 0\.\.3, such as 0\.3 for "
+            r"^cohort row 1 \(patient 'A'\), column 'strength': needs a share in 0\.\.4, such as 0\.3 for "
             r"30 %, got nothing$",
         ),
         (
