@@ -455,14 +455,18 @@ class FitErrors:
         rows = zip(self._names, rms.tolist(), self._most.tolist(), self._count, strict=True)
         return sorted(((name, mean, most) for name, mean, most, n in rows if n), key=lambda row: -row[1])
 
+    @property
+    def rms(self) -> float:
+        """Root mean square over all markers and frames [m], or of sensors [rad], whatever their weights."""
+        return float(np.sqrt(self._squares.sum() / max(self._count.sum(), 1)))
+
     def doubt(self) -> str | None:
         """Return what is likely wrong with the recording, None where markers fit."""
-        rms = float(np.sqrt(self._squares.sum() / max(self._count.sum(), 1)))
-        if rms <= LARGE:
+        if self.rms <= LARGE:
             return None
         return (
-            f"markers are {rms:.3g} m off (root mean square); check the recording's unit, its vertical axis, "
-            f"and that names are those of the model: worst is {self.worst()[0][0]!r}"
+            f"markers are {self.rms:.3g} m off (root mean square); check the recording's unit, its vertical "
+            f"axis, and that names are those of the model: worst is {self.worst()[0][0]!r}"
         )
 
 

@@ -38,8 +38,7 @@ LEAST = 0.01
 """Activation from which a secant is taken, at least."""
 
 FEASIBLE = 1e-5
-"""Share of the greatest moment of a coordinate up to which it counts as met; beside weak reserves
-the softness of the solver leaves less."""
+"""Share of the greatest moment of a coordinate up to which it counts as met."""
 
 SOLVED = 1e-3
 """Distance from the least cost, in units of the rows, from which a frame counts as unsolved; less is said as
@@ -72,7 +71,7 @@ class MuscleForces:
         control: Of motors [1], shape (frames, motors).
         reserve: What reserves and motors give [N m] or [N], shape (frames, coordinates); 0 without.
         missing: What nobody gives, likewise.
-        feasible: Frames in which nothing is missing.
+        feasible: Frames in which nothing is missing at coordinates without a reserve.
         saturated: Frames in which each muscle is at its upper bound, by name, those of no frame left out.
     """
 
@@ -346,7 +345,9 @@ def _made_of(
     lower, upper = share.lower[:count], share.upper[:count]
     full = activation >= lower + SATURATED * (upper - lower)
     counts = {name: int(n) for name, n in zip(paths.muscles, full.sum(axis=0), strict=True) if n}
-    feasible = (np.abs(found.missing) <= FEASIBLE * wanted[share.held]).all(axis=1)
+    # A reserve has no bound: what is missing beside one is the softness of the solver, not a lack of force.
+    alone = np.array([row not in share.helped for row in share.held], bool)
+    feasible = (np.abs(found.missing) <= FEASIBLE * wanted[share.held])[:, alone].all(axis=1)
     return MuscleForces(
         paths.muscles, share.coordinates, activation, force, passive, np.sqrt(along**2 + widths**2),
         mode == "equilibrium", -force * paths.velocity, share.motors, control, reserve, missing, feasible,

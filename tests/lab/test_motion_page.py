@@ -40,6 +40,7 @@ def test_the_worst_comes_first(tmp_path):
         "missing.sto",
         knee_angle_r_moment=np.where(TIME > 0.75, -7.0, 0.0),
         hip_flexion_r_moment=0.0,
+        pelvis_ty_force=287.0,  # a residual, which no muscle could hold
     )
     table(tmp_path, "activations.sto", soleus=np.where(TIME < 0.35, 1.0, 0.1), gastroc=0.2)
     table(tmp_path, "moments.sto", pelvis_ty_force=0.0 * TIME, knee_angle_r_moment=30 * TIME)

@@ -146,15 +146,16 @@ def page(folder: Path, model: Model, motion: Path | None = None) -> str:
     if REACTIONS.file in tables:
         tables[REACTIONS.file] = resultants(tables[REACTIONS.file])
         findings += _bearing(tables[REACTIONS.file], model)
+    root = [f"{name}_{kind}" for name in floating(model) for kind in ("moment", "force")]
     if MISSING.file in tables:
-        findings += _holding(tables[MISSING.file])
+        missing = tables[MISSING.file]
+        findings += _holding(among(missing, set(missing.labels) - set(root)))
     if ACTIVATIONS.file in tables:
         findings += _full(tables[ACTIVATIONS.file])
     if MARKERS.file in tables:
         findings.append(_fitting(tables[MARKERS.file]))
     if said := said_in(folder / MOMENTS.file):
         findings.append((f"{MOMENTS.file}: {said}.", True))
-    root = [f"{name}_{kind}" for name in floating(model) for kind in ("moment", "force")]
     shown = [(part, tables[part.file]) for part in (MISSING, MARKERS) if part.file in tables]
     if MOMENTS.file in tables and (held := among(tables[MOMENTS.file], root)).labels:
         shown.append((ROOT, held))
@@ -165,7 +166,7 @@ def page(folder: Path, model: Model, motion: Path | None = None) -> str:
         if part.file in (MISSING.file, RESERVES.file):
             acting = np.abs(table.values).max(axis=0, initial=0.0) > NOTHING
             on = {label for label, acts in zip(table.labels, acting, strict=True) if acts}
-            table = among(table, on - set(root) if part is RESERVES and MOMENTS.file in tables else on)
+            table = among(table, on - set(root) if MOMENTS.file in tables else on)
         if table.labels:
             sections.append(
                 _section(part, table, [unit_of(part.unit, label, model) for label in table.labels])
@@ -246,7 +247,7 @@ def _peak(table: Storage) -> tuple[str, float, float]:
 
 
 def _holding(missing: Storage) -> list[tuple[str, bool]]:
-    frames = int((np.abs(missing.values).max(axis=1) > NOTHING).sum())
+    frames = int((np.abs(missing.values).max(axis=1, initial=0.0) > NOTHING).sum())
     if not frames:
         return [(f"Muscles and reserves hold all {len(missing.time)} frames.", False)]
     label, value, time = _peak(missing)

@@ -56,8 +56,10 @@ def of_markers(parts: Iterable[JointAngles]) -> list[str]:
     for part in parts:
         errors.add(part.fitted)
         gaps = of_gaps(part.gaps)
+    worst = errors.worst()
     lines = [f"{marker}: {1e3 * rms:.1f} mm rms, {1e3 * most:.1f} mm at most"
-             for marker, rms, most in errors.worst()[:SHOWN]]  # fmt: skip
+             for marker, rms, most in worst[:SHOWN]]  # fmt: skip
+    lines.append(f"all {len(worst)} markers: {1e3 * errors.rms:.1f} mm rms")
     return [*gaps, *lines, *filter(None, [errors.doubt()])]
 
 
@@ -109,6 +111,7 @@ class Lacking:
         self.left = Left()
         self.frames, self.missed, self.full = 0, 0, Counter[str]()
         self.most: dict[str, np.ndarray] = {}
+        self.moment = np.zeros(1)
 
     def add(self, part: MotionForces) -> None:
         """Count a part."""
@@ -117,9 +120,10 @@ class Lacking:
         self.frames += len(found.feasible)
         self.missed += int((~found.feasible).sum())
         self.full.update(found.saturated)
-        for name in ("missing", "reserve"):
-            most = abs(getattr(found, name)).max(axis=0)
-            self.most[name] = np.maximum(most, self.most.get(name, 0.0))
+        self.moment = np.maximum(self.moment, abs(part.moments.needed.joint_moment).max(axis=0))
+        helped = "reserves and motors" if found.motors else "reserve"
+        for name, values in (("missing", found.missing), (helped, found.reserve)):
+            self.most[name] = np.maximum(abs(values).max(axis=0), self.most.get(name, 0.0))
 
     def lines(self) -> list[str]:
         """Return what muscles could not do; what they need not, at roots, is apart."""
@@ -133,8 +137,12 @@ class Lacking:
         for name, most in self.most.items():
             for k in [k for k in most.argsort()[::-1] if joints[k]][:SHOWN]:
                 if most[k] > 1e-3:
-                    unit = _unit(self.bones, k)
-                    lines.append(f"{name} at {self.bones.coordinates[k]}: {most[k]:.3g} {unit} at most")
+                    share = (
+                        f"{100.0 * most[k] / max(self.moment[k], 1e-9):.2g} % of the greatest moment there"
+                    )
+                    at = f"{name} at {self.bones.coordinates[k]}"
+                    amount = f"{most[k]:.3g} {_unit(self.bones, k)} at most"
+                    lines.append(f"{at}: {amount}, {share} of the greatest moment there")
         full = self.full.most_common(SHOWN)
         return lines + [f"{muscle} is fully active in {n} of {self.frames} frames" for muscle, n in full]
 
