@@ -211,7 +211,7 @@ def _end(run: Run, selection: Selection) -> str:
     else:
         reached = run.worlds.tally.reached(settings.stop_success, settings.stop_rule)
     if reached:
-        return f"{100 * settings.stop_success:.1f} % {SUCCESSES[settings.stop_rule]}"
+        return f"at least {100 * settings.stop_success:.1f} % {SUCCESSES[settings.stop_rule]}"
     return "all samples" if run.samples >= settings.samples else ""
 
 
@@ -309,8 +309,8 @@ def _publish(job: Job, report: dict[str, Any], console: Console) -> None:
     share = f"{100 * report['success']:.1f} %" if report["episodes"] else "none"
     acts = f"sampled actions, {_physics(job, report['samples'])} physics"
     console.print(
-        f"Ended after {report['samples']:,} samples in {report['seconds']:.1f} s ({report['ended']}); "
-        f"{share} of the last episodes succeeded ({acts})"
+        f"Ended after {report['samples']:,} samples: {report['ended']}. {share} of the last episodes "
+        f"succeeded ({acts}). {report['training_seconds']:.1f} s of training, {report['seconds']:.1f} s in all"
     )
     console.print(f"Saved {job.folder}" + (f" and {curve}" if curve else ""))
     if report["ended"] == STOPPED:

@@ -49,6 +49,7 @@ class Selection:
     Attributes:
         best: The best one; None: there was none.
         last: The last one.
+        risen: The last one that had a greater share of successes than all before it.
     """
 
     def __init__(self, job: Job) -> None:
@@ -56,13 +57,13 @@ class Selection:
         manifest: dict[str, Any] = {"samples": 0, "selection": {}}
         manifest |= job.checkpoint.manifest if job.checkpoint else {}
         found = {name: Score(**score) for name, score in manifest["selection"].items() if score}
-        self.best, self.last = found.get("best"), found.get("last")
+        self.best, self.last, self.risen = (found.get(name) for name in ("best", "last", "risen"))
         if self.best and not any((job.folder / BEST).glob(f"*/{MANIFEST}")):
             warn_once(
                 f"the best policy of {str(job.folder)!r}, after {self.best.samples} samples, is gone; the "
                 "next evaluation is the first that counts"
             )
-            self.best = None
+            self.best = self.risen = None
         self._job, self._taken = job, manifest["samples"]
         self._sim: Simulation | None = None
 
@@ -81,24 +82,26 @@ class Selection:
         act = Bound(Checkpoint(job.folder, dict(manifest), dict(policy)), self._sim)
         figures = dataclasses.asdict(evaluate(self._sim, act, console=quiet, ranks=job.ranks))
         self.last = Score(samples, figures[job.settings.stop_rule], figures["return_mean"])
+        if self.risen is None or self.last.success > self.risen.success:
+            self.risen = self.last
         if self.best and (self.best.success, self.best.returns) >= (self.last.success, self.last.returns):
             return False
         self.best = self.last
         return True
 
     def stall(self, before: Score | None) -> str:
-        """Return a sentence where for half of the budget now, but not `before`, none was better; else ""."""
-        settings, best, last = self._job.settings, self.best, self.last
-        if not (best and last and before) or best.success == 1.0:
+        """Return a sentence if for half of the budget now, but not `before`, no more succeeded; else ""."""
+        settings, risen, last = self._job.settings, self.risen, self.last
+        if not (risen and last and before) or risen.success == 1.0:
             return ""
-        if not before.samples - best.samples < settings.samples / 2 <= last.samples - best.samples:
+        if not before.samples - risen.samples < settings.samples / 2 <= last.samples - risen.samples:
             return ""
         own = {entry.name: entry.default for entry in dataclasses.fields(settings)}
         changed = {name: value for name, value in vars(settings).items() if value != own[name]}
         tried = " ".join(f"{flag(name)} {shown(value)}" for name, value in changed.items())
         return (
-            f"for half of the budget nothing was better than {100.0 * best.success:.1f} % after "
-            f"{best.samples:,} samples; tried was {settings.algorithm} {tried}; change one, add --bonus or "
+            f"for half of the budget nothing was better than {100.0 * risen.success:.1f} % after "
+            f"{risen.samples:,} samples; tried was {settings.algorithm} {tried}; change one, add --bonus or "
             f"--start-share, or search around the best with `myowarp improve {self._job.folder}`"
         )
 
@@ -109,7 +112,7 @@ class Selection:
 
     def manifest(self) -> dict[str, Any]:
         """Return what a checkpoint says of the evaluations."""
-        scores = {"best": self.best, "last": self.last}
+        scores = {"best": self.best, "last": self.last, "risen": self.risen}
         return {name: score and dataclasses.asdict(score) for name, score in scores.items()}
 
     def close(self) -> None:
