@@ -310,7 +310,8 @@ def _publish(job: Job, report: dict[str, Any], console: Console) -> None:
     acts = f"sampled actions, {_physics(job, report['samples'])} physics"
     console.print(
         f"Ended after {report['samples']:,} samples: {report['ended']}. {share} of the last episodes "
-        f"succeeded ({acts}). {report['training_seconds']:.1f} s of training, {report['seconds']:.1f} s in all"
+        f"succeeded ({acts}). {report['training_seconds']:.1f} s of training, "
+        f"{report['seconds']:.1f} s in all"
     )
     console.print(f"Saved {job.folder}" + (f" and {curve}" if curve else ""))
     if report["ended"] == STOPPED:
