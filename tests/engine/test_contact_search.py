@@ -154,6 +154,7 @@ def test_contacts_are_those_of_mujoco(kind):
     assert compared >= 5
 
 
+@pytest.mark.slow
 def test_side_of_a_cylinder():
     """A capsule's contact with it is in closed form, and the largest separation; other contacts are not."""
     model = mujoco.MjModel.from_xml_string(f"""<mujoco><worldbody>
@@ -321,6 +322,7 @@ class AllPairs(ContactFilter):
         self.near.normals.assign(lines / np.linalg.norm(lines, axis=2, keepdims=True))
 
 
+@pytest.mark.slow
 def test_pairs_left_out_are_apart(monkeypatch):
     """Contacts are those of all pairs, each from the line between its centers; the lists hold few others."""
     model, qpos = crowd(count := 21)  # in lanes, and the last ones alone

@@ -115,6 +115,7 @@ def test_what_cannot_be_removed_is_an_error(folder, monkeypatch):
         loaded()
 
 
+@pytest.mark.slow
 def test_read_only_folder_is_read_and_a_temporary_one_written(folder, tmp_path_factory, monkeypatch, caplog):
     """As that of an image; root may write everything, so it is feigned."""
     full, usual = folder.parent, os.access

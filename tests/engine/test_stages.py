@@ -92,6 +92,7 @@ def test_all_that_apply_are_used(key, caplog, monkeypatch, tmp_path):
     assert not caplog.records
 
 
+@pytest.mark.slow
 def test_each_applies_somewhere():
     """A stage that no registered task can use would be dead code."""
     stepped = [stepped_of(simulation(key, 1, stages=()).scene) for key in BODY_TASKS.values()]

@@ -41,10 +41,11 @@ def sessions():
 
 
 def test_every_task_has_one_place_in_the_tree():
-    tree = task_tree(list(TASKS))
+    own = [key for key in TASKS if key.startswith(("myo", "motor"))]  # not what other tests registered
+    tree = task_tree(own)
     leaves = [task for levels in tree.values() for versions in levels.values() for task in versions.values()]
-    assert sorted(leaves) == sorted(TASKS)
-    assert len(tree) < len(TASKS) / 3
+    assert sorted(leaves) == sorted(own)
+    assert len(tree) < len(own) / 3
     assert list(tree["pose, hand"]["easy"]) == ["v1", "v0"]
     assert tree["pose, hand"]["easy, pose 3"]["v0"] == "myoHandPose3Fixed-v0"
     assert tree["baoding balls, hand"]["P2"]["v2"] == "myoChallengeBaodingP2-v2"
