@@ -28,7 +28,7 @@ from myowarp.apps.studies.reproduce import (
 )
 from myowarp.apps.studies.reproduce.catalog import EXPERIMENTS
 from myowarp.apps.studies.reproduce.experiment import Lab
-from myowarp.apps.studies.reproduce.policies import Training, retrained
+from myowarp.apps.studies.reproduce.policies import Training, committed, retrained
 from myowarp.apps.studies.reproduce.report import FILES
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.setup import Setup
@@ -188,6 +188,21 @@ def test_work_of_motors_is_mujocos_torque_times_the_speed():
     assert work.min() > 1e-3
     np.testing.assert_allclose(watched.work, work, rtol=0.02)
     assert len(watched.velocity) == 20
+
+
+@pytest.mark.slow
+def test_fingers_are_compared_by_the_packages_policies(found):
+    """Both hold the fixed posture; means of two seeds, whose samples are those of their trainings."""
+    result, _ = found("motor", num_worlds=4)
+    assert ours(result, "success, last step, means") == {
+        "PoseFixed, muscles": 100.0,
+        "PoseFixed, motors": 100.0,
+    }
+    for finger in motor.FINGERS:
+        own = [committed(motor.training(finger, "PoseFixed"), seed).manifest["samples"] for seed in (0, 1)]
+        taken = ours(result, "samples of the training")[f"PoseFixed, {finger}"]
+        assert taken == pytest.approx(np.mean(own) / 1e6)
+    assert "seeds" not in result
 
 
 def test_one_kind_that_contradicts_decides_about_all_kinds():

@@ -149,7 +149,7 @@ def findings(found: Mapping[Case, list[dict[str, np.ndarray]]]) -> Findings:
     measured = {"lines": "\n".join(lines), "episodes": episodes, "seeds": seeds}
     held = {f"{change}_{name}": own for change, each in holds.items() for name, own in each.items()}
     measured |= {name: "does" if own else "does not" for name, own in held.items()}
-    return Findings(rows, held, lambda figure: draw(figure, found), measured, in_worlds=False)
+    return Findings(rows, held, lambda figure: draw(figure, found), measured)
 
 
 def _gain(own: Mapping[str, np.ndarray], name: str, over: str) -> tuple[float, float, float]:

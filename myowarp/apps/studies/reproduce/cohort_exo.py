@@ -141,7 +141,7 @@ def findings(results: list[dict[str, np.ndarray]]) -> Findings:
         "rate": np.mean(by_rate),
         "each": ", ".join(f"{100.0 * (n == 0.0).mean():.0f}" for n in need),
     }
-    return Findings(rows, holds, lambda figure: draw(figure, results, need), measured, in_worlds=False)
+    return Findings(rows, holds, lambda figure: draw(figure, results, need), measured)
 
 
 def draw(figure: Figure, results: list[dict[str, np.ndarray]], need: list[np.ndarray]) -> None:

@@ -44,7 +44,6 @@ class Findings:
         draw: Draws into an empty matplotlib figure 8 inches wide; the height may be set.
         measured: Values for the fields of the essay.
         over: What the values of the figures of merit are over, and the intervals with them.
-        in_worlds: Whether each seed had the number of worlds that was asked for; the protocol says else.
     """
 
     merits: Sequence[Merit]
@@ -52,7 +51,6 @@ class Findings:
     draw: Callable[[Figure], None]
     measured: Mapping[str, Any] = field(default_factory=dict)
     over: str = "seeds"
-    in_worlds: bool = True
 
 
 @dataclass(frozen=True)

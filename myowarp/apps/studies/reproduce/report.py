@@ -61,8 +61,7 @@ def as_dict(experiment: Experiment, lab: Lab, findings: Findings) -> dict[str, A
         "paper": experiment.paper,
         "verdict": " ".join(text(experiment, findings, VERDICT).split()),
         "quick": lab.quick,
-        "seeds": list(lab.seeds),
-        "num_worlds": lab.num_worlds,
+        **{name: value for name, value in sizes(lab).items() if name not in experiment.ignores},
         "policies": "retrained" if lab.retrain else "of the package",
         "interval": INTERVAL.format(over=findings.over),
         "versions": versions(),
@@ -80,6 +79,11 @@ def as_dict(experiment: Experiment, lab: Lab, findings: Findings) -> dict[str, A
     }
 
 
+def sizes(lab: Lab) -> dict[str, Any]:
+    """Return what was asked for of protocols that read it; others say their sizes themselves."""
+    return {"seeds": list(lab.seeds), "num_worlds": lab.num_worlds}
+
+
 def text(experiment: Experiment, findings: Findings, heading: str) -> str:
     """Return a section of the essay with measured values in it, "" if there is none."""
     return experiment.essay.get(heading, "").format(**findings.measured)
@@ -94,7 +98,7 @@ def claims(experiment: Experiment, findings: Findings) -> list[Claim]:
 def page(experiment: Experiment, lab: Lab, findings: Findings) -> str:
     """Return the page: verdict, figure, claims, table, where we differ, and the protocol."""
     size = f"{len(lab.seeds)} seeds, {lab.num_worlds} worlds for each seed and condition. "
-    size = size if findings.over == "seeds" and findings.in_worlds else ""
+    size = size if findings.over == "seeds" and not set(sizes(lab)) & set(experiment.ignores) else ""
     rows = [(merit.label, merit.condition, *merit.cells(), merit.note) for merit in findings.merits]
     points = [
         (claim.own, f"* {claim.verdict.capitalize()}: {claim.text}{f' {claim.why}' if claim.why else ''}")
