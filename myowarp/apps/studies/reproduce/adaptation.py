@@ -44,7 +44,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
 """Settings of a training by task, beside its preset; all kinds have the same."""
 MOMENT = Uniform(0.2, 1.0)  # s
 WEAKNESS, DEVICE = "weakness", "device"
-WORN = {ELBOW: "", HAND: "flexion"}
+WORN = {ELBOW: "", HAND: "flexion_r"}
 """Joint of the device: where the elbow wears its exoskeleton, and the wrist."""
 Case = tuple[str, str]
 CASES: tuple[Case, ...] = tuple(product((ELBOW, HAND), (WEAKNESS, DEVICE)))
