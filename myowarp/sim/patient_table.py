@@ -105,10 +105,8 @@ def read_population(table: str | Path | pd.DataFrame, muscles: Sequence[str]) ->
             cells = [row[index] for row in rows]
             if (owner := COLUMNS[name].of) in header:
                 owners = [row[header.index(owner)] for row in rows]
-                both = [
-                    _is_missing(cell) and _is_missing(own) for cell, own in zip(cells, owners, strict=True)
-                ]
-                cells = [0.0 if empty else cell for cell, empty in zip(cells, both, strict=True)]
+                pairs = zip(cells, owners, strict=True)
+                cells = [0.0 if _is_missing(cell) and _is_missing(own) else cell for cell, own in pairs]
             entries[name] = [_entry(name, cell, i, patients, muscles) for i, cell in enumerate(cells)]
     for one, other in EXCLUSIVE:
         if one in entries and other in entries:
