@@ -93,7 +93,7 @@ def test_gains_of_adaptation_are_differences_in_the_same_episodes(found):
             assert gain == pytest.approx(after[f"{task}, {kind}"] - after[f"{task}, {over}"])
             assert gain > -10.0
     cases = {tuple(row["condition"].split(", ")[:2]) for row in result["merits"]}
-    assert cases == {(adaptation.ELBOW, change) for change in (adaptation.WEAKNESS, adaptation.DEVICE)}
+    assert cases == set(adaptation.CASES)
     assert json.loads((folder / "result.json").read_text())["policies"] == "of the package"
 
 
@@ -116,12 +116,13 @@ def test_claims_of_adaptation_are_of_every_seed_of_a_change():
     cases = {(adaptation.ELBOW, change): list(map(one_run, each)) for change, each in shares.items()}
     result = adaptation.findings(cases)
     names = ("trained", "told", "memory", "kept")
-    expected = {"weakness": (True, True, False, False), "device": (True, True, True, True)}
+    expected = {"elbow_weakness": (True, True, False, False), "elbow_device": (True, True, True, True)}
+    expected |= {"hand_weakness": (None,) * 4, "hand_device": (None,) * 4}
     assert result.holds == {
         f"{c}_{n}": x for c, own in expected.items() for n, x in zip(names, own, strict=True)
     }
-    assert result.measured["weakness_memory"] == "does not"
-    assert result.measured["device_memory"] == "does"
+    assert result.measured["memory"] == "elbow with device"
+    assert result.measured["told"] == "elbow after weakness and elbow with device"
     row = {(row.quantity, row.condition): row for row in result.merits}
     gain = row["gain of memory over blind", f"{adaptation.ELBOW}, weakness"]
     pairs = [100.0 * (own[3] - own[1]) for own in shares["weakness"]]

@@ -6,6 +6,7 @@ that come in mid-episode, at a drawn moment; the policies of a change are traine
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from itertools import product
 from typing import TYPE_CHECKING, Any
@@ -44,10 +45,12 @@ SETTINGS: dict[str, dict[str, Any]] = {
 """Settings of a training by task, beside its preset; all kinds have the same."""
 MOMENT = Uniform(0.2, 1.0)  # s
 WEAKNESS, DEVICE = "weakness", "device"
+NAMES = {ELBOW: "elbow", HAND: "hand"}
 WORN = {ELBOW: "", HAND: "flexion_r"}
 """Joint of the device: where the elbow wears its exoskeleton, and the wrist."""
 Case = tuple[str, str]
-CASES: tuple[Case, ...] = tuple(product((ELBOW, HAND), (WEAKNESS, DEVICE)))
+CASES: tuple[Case, ...] = tuple(product(NAMES, (WEAKNESS, DEVICE)))
+CLAIMED = ("trained", TOLD, MEMORY, "kept")
 SEEDS = (0, 1, 2)
 QUICK_EPISODES = 32
 KEPT = 0.9  # share of what a told policy solves
@@ -122,7 +125,7 @@ def findings(found: Mapping[Case, list[dict[str, np.ndarray]]]) -> Findings:
     """Return figures of merit, claims and figure, of the runs of each task and change."""
     rows: list[Merit] = []
     lines: list[str] = []
-    holds = {change: dict.fromkeys(("trained", "told", "memory", "kept"), True) for _, change in found}
+    holds: dict[str, bool | None] = {f"{_short(case)}_{name}": None for case in CASES for name in CLAIMED}
     for (task, change), runs in found.items():
         case = f"{task}, {change}"
         falls = np.array([own["falls"] for own in runs])  # (seeds, policies, 3)
@@ -140,16 +143,26 @@ def findings(found: Mapping[Case, list[dict[str, np.ndarray]]]) -> Findings:
             note = "; ".join(f"{gain:+.2f}, {low:.2f} to {high:.2f}" for gain, low, high in gains)
             what, said = f"gain of {name} over {over}", f"each seed, with its interval over episodes: {note}"
             rows.append(Merit(what, "%", case, means, note=said))
-            holds[change]["trained" if name == BLIND else name] &= all(low > 0.0 for _, low, _ in gains)
+            claim = "trained" if name == BLIND else name
+            holds[f"{_short((task, change))}_{claim}"] = all(low > 0.0 for _, low, _ in gains)
             lines.append(f"* {case}: {name} {np.mean(means):+.2f} points over {over} ({note}).")
         told, memory = (1 + list(KINDS).index(name) for name in (TOLD, MEMORY))
-        holds[change]["kept"] &= bool((after[:, memory] >= KEPT * after[:, told]).all())
+        kept = bool((after[:, memory] >= KEPT * after[:, told]).all())
+        holds[f"{_short((task, change))}_kept"] = kept
     episodes = next(iter(found.values()))[0]["shares"].shape[1]
     seeds = ", ".join(f"{len(runs)} of {task} ({change})" for (task, change), runs in found.items())
     measured = {"lines": "\n".join(lines), "episodes": episodes, "seeds": seeds}
-    held = {f"{change}_{name}": own for change, each in holds.items() for name, own in each.items()}
-    measured |= {name: "does" if own else "does not" for name, own in held.items()}
-    return Findings(rows, held, lambda figure: draw(figure, found), measured)
+    for name in CLAIMED:
+        cases = [_short(case).replace("_", " with " if case[1] == DEVICE else " after ") for case in CASES
+                 if holds[f"{_short(case)}_{name}"]]  # fmt: skip
+        measured[name] = " and ".join(cases) or "nobody"
+    return Findings(rows, holds, lambda figure: draw(figure, found), measured)
+
+
+def _short(case: Case) -> str:
+    """Return the name of a case in claims."""
+    task, change = case
+    return f"{NAMES[task]}_{change}"
 
 
 def _gain(own: Mapping[str, np.ndarray], name: str, over: str) -> tuple[float, float, float]:
@@ -161,9 +174,12 @@ def _gain(own: Mapping[str, np.ndarray], name: str, over: str) -> tuple[float, f
 
 def draw(figure: Figure, found: Mapping[Case, list[dict[str, np.ndarray]]]) -> None:
     """Draw success around the change, a panel a task and change."""
-    figure.set_figheight(3.6)
-    panels = figure.subplots(1, len(found), squeeze=False)[0]
-    for axes, (case, runs) in zip(panels, found.items(), strict=True):
+    rows = math.ceil(len(found) / 2)
+    figure.set_figheight(3.2 * rows)
+    panels = figure.subplots(rows, min(2, len(found)), squeeze=False).ravel()
+    for axes in panels[len(found) :]:
+        axes.set_visible(False)
+    for axes, ((task, change), runs) in zip(panels, found.items(), strict=False):
         seconds = runs[0]["seconds"]
         lasts = np.isfinite(runs[0]["curves"]).all(axis=0)
         for p, (name, color) in enumerate(zip((BASELINE, *KINDS), INKS, strict=False)):
@@ -171,7 +187,9 @@ def draw(figure: Figure, found: Mapping[Case, list[dict[str, np.ndarray]]]) -> N
             panel.band(axes, seconds[lasts], panel.extent(curves), color=color, alpha=0.15, label=name)
         axes.axvline(0.0, color=panel.INK, linewidth=0.8, linestyle=":")
         axes.set(
-            title=", ".join(case), xlabel="time after the change [s]", ylabel="episodes that are solved [%]"
+            title=f"{NAMES[task]}, {change}",
+            xlabel="time after the change [s]",
+            ylabel="episodes that are solved [%]",
         )
     panels[0].legend(loc="lower right")
 
