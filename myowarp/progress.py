@@ -1,7 +1,7 @@
 """Progress bars of long work, all alike, on the error stream, which leaves the output to pipe."""
 
 import contextlib
-import time
+import threading
 from collections.abc import Callable, Iterator
 
 from rich.console import Console
@@ -45,17 +45,27 @@ def patient_bar(
     """
     bar = progress_bar(title, unit)
     task = bar.add_task("", total=total)
-    begin = time.monotonic()
 
     def advance(count: int) -> None:
         bar.advance(task, count)
         for listener in LISTENERS:
             listener(title, int(bar.tasks[0].completed), total)
-        if show and time.monotonic() - begin > patience:
-            bar.start()
 
+    def begin() -> None:
+        bar.start()
+        if not bar.console.is_terminal:  # there the bar is drawn at its end alone
+            bar.console.print(f"{title}: {int(bar.tasks[0].completed)} of {total} {unit} so far")
+
+    # The first unit may take long itself.
+    start = threading.Timer(patience, begin)
+    start.daemon = True
+    if show:
+        start.start()
     try:
         yield advance
     finally:
+        start.cancel()
+        if show and start.is_alive():
+            start.join()
         if bar.live.is_started:
             bar.stop()

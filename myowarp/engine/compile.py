@@ -8,7 +8,7 @@ import contextlib
 import logging
 import os
 import random
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import cache
 from pathlib import Path
@@ -41,6 +41,8 @@ def recorded() -> Iterator[list[tuple[wp.Module, int]]]:
         kernel = args[0] if args else kwargs["kernel"]
         if is_empty(*args, **kwargs):
             return
+        if kernel.is_generic:
+            _specialise(*args, **kwargs)
         found.append((kernel.module, kwargs.get("block_dim") or BLOCK_DIM))
 
     def call_while(condition: Any, while_body: Callable[..., None], **kwargs: Any) -> None:
@@ -58,6 +60,16 @@ def recorded() -> Iterator[list[tuple[wp.Module, int]]]:
         replaced(wp, "capture_if", call_if),
     ):
         yield found
+
+
+def _specialise(
+    kernel: wp.Kernel, dim: Any = None, inputs: Sequence[Any] = (), outputs: Sequence[Any] = (), **_: Any
+) -> None:
+    """Give a kernel of any types the form for these arguments.
+
+    Warp does so at the launch, and then compiles the module once more, which has a form more than on disk.
+    """
+    kernel.add_overload(kernel.infer_argument_types([*inputs, *outputs]))
 
 
 @contextlib.contextmanager

@@ -121,6 +121,7 @@ class Shard:
             ValueError: A condition does not fit the scene, or there are too few random starts.
         """
         self.scene, self.conditions, self.autoreset = scene, conditions, AUTORESET[autoreset]
+        self._progress = progress
         with quiet(), wp.ScopedDevice(scene.device):
             self.program: Program = scene.spec.program(scene.spec, scene)
             self.episode, self.clock, self.effects = bind_conditions(scene, conditions)
@@ -130,7 +131,7 @@ class Shard:
                 self._take_over(like)
             else:
                 self._load_starts(find_starts)
-                self._choose_kernels(stages, progress)
+                self._choose_kernels(stages)
             self.step_graph = self._capture(self._launch_step) if graph else None
             self.reset_graph = self._capture(self._launch_asked_reset) if graph else None
         self.reset()
@@ -150,13 +151,13 @@ class Shard:
         self.starts = wp.array(starts.values, dtype=float)
         self.start_address = wp.array(starts.address, dtype=int)
 
-    def _choose_kernels(self, names: Iterable[str], progress: bool) -> None:
+    def _choose_kernels(self, names: Iterable[str]) -> None:
         """Find out which stages of the physics step are to be ours, and compile all kernels."""
         self.stages, self.idle_kernels = choose_stages(
-            self.physics_step, names, self._launch_all, progress, self.conditions
+            self.physics_step, names, self._launch_all, self._progress, self.conditions
         )
         self._take_stages()
-        self._modules = compile_kernels(self._launch_all, self.scene.device, show=progress)
+        self._modules = compile_kernels(self._launch_all, self.scene.device, show=self._progress)
 
     def _take_over(self, like: Shard) -> None:
         """Use the kernels and the starts of another shard."""
@@ -407,7 +408,7 @@ class Shard:
             self._launch_asked_reset()
 
         with quiet(), wp.ScopedDevice(self.scene.device):
-            self._modules += compile_kernels(launch_both, self.scene.device, show=False)
+            self._modules += compile_kernels(launch_both, self.scene.device, show=self._progress)
             if self.step_graph is not None:
                 self.step_graph = self._capture(self._launch_step)
                 self.reset_graph = self._capture(self._launch_asked_reset)

@@ -3,7 +3,9 @@
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 import warp as wp
@@ -16,6 +18,7 @@ from myowarp.disk import writable_folder
 from myowarp.engine import compile as compile_
 from myowarp.engine import kernel_cache
 from myowarp.engine.compile import compile_kernels, quiet
+from myowarp.progress import patient_bar
 
 
 @wp.kernel(enable_backward=False, module="unique")
@@ -63,6 +66,43 @@ def test_it_is_loaded_from_disk(folder, caplog):
     assert loaded() == RIGHT
     assert {file: file.stat().st_mtime_ns for file in folder.iterdir()} == files
     assert not caplog.records
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def copied(source: wp.array[Any], target: wp.array[Any]):
+    i = wp.tid()
+    target[i] = source[i]
+
+
+def test_kernels_of_any_type_are_compiled_once_for_all_that_is_launched(tmp_path, monkeypatch):
+    """Warp would compile the module anew at the first launch with each type."""
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    pairs = [[wp.array([1, 2], dtype=kind, device="cpu") for _ in "ab"] for kind in (int, float, wp.int64)]
+
+    def launch():
+        for source, target in pairs:
+            wp.launch(copied, dim=2, inputs=[source], outputs=[target], device="cpu")
+
+    with quiet():
+        compile_kernels(launch, wp.get_device("cpu"), show=False)
+        modules = set(tmp_path.iterdir())
+        launch()
+    assert len(modules) == 1
+    assert set(tmp_path.iterdir()) == modules
+
+
+def test_a_pipe_is_told_before_the_first_module_is_there(capfd):
+    """And nothing where all is there in a moment, or nobody wants to know."""
+    with patient_bar("Compiling", "modules", 3, patience=0.01) as advance:
+        time.sleep(0.2)
+        said = capfd.readouterr().err
+        advance(3)
+    assert "Compiling: 0 of 3 modules so far" in said
+    with patient_bar("Compiling", "modules", 3, patience=30.0) as advance:
+        advance(3)
+    with patient_bar("Compiling", "modules", 3, patience=0.01, show=False):
+        time.sleep(0.1)
+    assert "Compiling: 0" not in capfd.readouterr().err
 
 
 @settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
