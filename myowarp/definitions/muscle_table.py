@@ -92,7 +92,7 @@ class MuscleTable:
     @classmethod
     def _read(cls, model: str, path: str | Path) -> MuscleTable:
         """Return the table in a file."""
-        with Path(path).open(newline="") as file:
+        with Path(path).open(encoding="utf-8-sig", newline="") as file:
             lines = csv.DictReader(file, restval="")
             columns = lines.fieldnames or ()
             if "muscle" not in columns:

@@ -94,7 +94,8 @@ def test_unknown_model():
 
 def test_csv(tmp_path):
     path = tmp_path / "patient.csv"
-    path.write_text("muscle,max_isometric_force,smoothing_width\na,400,\nb,,0.1\n")
+    text = "\ufeffmuscle,max_isometric_force,smoothing_width\na,400,\nb,,0.1\n"
+    path.write_text(text, encoding="utf-8")  # with the mark that Excel puts first
     got = MuscleTable.read("mujoco", path).of(NAMES, WORLDS)
     assert np.array_equal(got["max_isometric_force"], [[400.0, np.nan, np.nan]], equal_nan=True)
     assert np.array_equal(got["smoothing_width"], [[np.nan, 0.1, np.nan]], equal_nan=True)
