@@ -23,7 +23,7 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
-from myowarp.definitions.parameter import MOST as MOST_SHARE
+from myowarp.definitions.parameter import say_percent
 from myowarp.definitions.registry import check_least
 from myowarp.disk import files_digest, number_in
 from myowarp.motion.draws import Recording, Uncertainty, check_factors
@@ -250,9 +250,7 @@ def _trial(folder: Path, header: list[str], row: list[Any], number: int) -> Tria
     try:
         check_factors(numbers)
         for what, factor in numbers.items():
-            if factor > MOST_SHARE:
-                share = f"for {factor:g} % write {factor / 100.0:g}"
-                warn_once(f"{what} of {factor:g} is {factor:g} times the model's; {share}")
+            say_percent(what, factor)
         return Trial(name, files, own, numbers, Uncertainty(**spread))
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
