@@ -104,9 +104,11 @@ def test_csv(tmp_path):
         ("muscle,max_isometric_force\na,1\na,2\n", "one row for each muscle, got two of 'a'"),
         ("muscle,max_isometric_force\na,x\n", "max_isometric_force of muscle 'a' must be a number, got 'x'"),
         ("muscle,max_isometric_force\na,1,2\n", "must have 2 cells in each row, got more"),
+        ("muscle,max_isometric_force,max_isometric_force\n", "one column 'max_isometric_force', got 2"),
+        ("muscle,max_isometric_force\n\udcff,1\n", "patient.csv is not UTF-8 text"),
         ("muscle,force\na,\n", "parameter of muscle model 'mujoco' 'force' unknown"),
     ):
-        path.write_text(text)
+        path.write_text(text, encoding="utf-8", errors="surrogateescape")
         with pytest.raises(ValueError, match=re.escape(message)):
             MuscleTable.read("mujoco", path)
 
