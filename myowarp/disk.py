@@ -108,6 +108,9 @@ def sentence(error: BaseException) -> str:
             return f"a file cannot be written ({os.strerror(error.errno)}); make room on the disk"
         if error.filename is not None:
             return f"{str(error.filename)!r} cannot be used: {error.strerror}"
+    if isinstance(error, UnicodeEncodeError):
+        part = error.object[max(error.start - 40, 0) : error.end + 40]
+        return f"{part!r} has characters that are none of {error.encoding}; choose another name"
     return str(error)
 
 

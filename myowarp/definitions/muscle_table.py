@@ -88,15 +88,19 @@ class MuscleTable:
             return cls._read(model, path)
         except csv.Error as error:
             raise ValueError(f"{path} is no CSV file ({error})") from error
+        except UnicodeDecodeError as error:
+            raise ValueError(f"{path} is not UTF-8 text ({error})") from error
 
     @classmethod
     def _read(cls, model: str, path: str | Path) -> MuscleTable:
         """Return the table in a file."""
-        with Path(path).open(newline="") as file:
+        with Path(path).open(encoding="utf-8-sig", newline="") as file:
             lines = csv.DictReader(file, restval="")
-            columns = lines.fieldnames or ()
+            columns = list(lines.fieldnames or ())
             if "muscle" not in columns:
                 raise ValueError(f"{path} must have a column 'muscle', got {', '.join(columns) or 'none'}")
+            if twice := [name for name in columns if columns.count(name) > 1]:
+                raise ValueError(f"{path} must have one column {twice[0]!r}, got {columns.count(twice[0])}")
             rows: dict[str, dict[str, float]] = {}
             for line in lines:
                 muscle = line.pop("muscle")

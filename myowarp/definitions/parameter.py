@@ -20,6 +20,7 @@ from myowarp.definitions.muscle import muscle_index
 from myowarp.definitions.registry import check_choice
 from myowarp.kernels.random import RandomKeys, open_stream, stream_of
 from myowarp.kernels.write import is_finite, write
+from myowarp.process import warn_once
 
 if TYPE_CHECKING:
     from myowarp.definitions.scene import Scene
@@ -27,6 +28,13 @@ if TYPE_CHECKING:
 SPANS = ("episode", "life")
 MOST = 4.0
 """Largest share that is no slip of percent: the strongest brace of `reproduce cohort-exo`."""
+
+
+def say_percent(what: str, factor: float) -> None:
+    """Say that a factor is beyond `MOST`, as one in percent is."""
+    if factor > MOST:
+        share = f"for {factor:g} % write {factor / 100.0:g}"
+        warn_once(f"{what} of {factor:g} is {factor:g} times the model's; {share}")
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ import numpy as np
 
 from myowarp.motion.results import Result
 from myowarp.motion.storage import Storage, Tables, logger
+from myowarp.process import listed
 
 BAND = (20.0, 450.0)
 """Frequencies of a surface electromyogram [Hz]; the upper one is at most 0.45 times the rate."""
@@ -36,8 +37,15 @@ SHARED = 0.5
 FAINT = 0.02
 """Share of a recording's standard deviation in the band below which it is no raw electromyogram."""
 
+SILENT = 1e-9
+"""Share of a recording's size below which what it has in the band is rounding: a channel that is off."""
+
 UNEVEN = 0.01
 """Share of the time step by which steps may differ."""
+
+
+SHOWN = 5
+"""Columns that are named."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +95,7 @@ def compare(recording: Storage, activation: Storage) -> Comparison:
 
 
 def envelopes(recording: Storage, smooth: float = SMOOTH) -> Storage:
-    """Return envelopes, each from 0 to 1.
+    """Return envelopes, each from 0 to 1; 0 where a column has no signal, which is said.
 
     Args:
         recording: Raw electromyograms over time, in any unit.
@@ -120,10 +128,14 @@ def envelopes(recording: Storage, smooth: float = SMOOTH) -> Storage:
         raise ValueError(
             f"the electromyogram is too short to filter, got {len(recording.time)} rows"
         ) from error
-    for name, whole, part in zip(
-        recording.labels, recording.values.std(axis=0), raw.std(axis=0), strict=True
+    silent = raw.std(axis=0) <= SILENT * np.abs(recording.values).max(axis=0)
+    smoothed[:, silent] = 0.0
+    for name, off, whole, part in zip(
+        recording.labels, silent, recording.values.std(axis=0), raw.std(axis=0), strict=True
     ):
-        if part < FAINT * whole:
+        if off:
+            logger.warning("column %r of the electromyogram has no signal", name)
+        elif part < FAINT * whole:
             logger.warning(
                 "column %r of the electromyogram has %.2g %% of its deviation between %g and %g Hz: is it an "
                 "envelope already?",
@@ -149,6 +161,10 @@ def agreement(envelope: Storage, activation: Storage, delays: Sequence[float] = 
         raise ValueError(
             f"the electromyogram has no column of a muscle; it has {', '.join(envelope.labels)}, muscles are "
             f"{', '.join(activation.labels)}"
+        )
+    if unread := [name for name in envelope.labels if name not in shared]:
+        logger.warning(
+            "no muscle has the name of these columns of the electromyogram: %s", listed(unread, SHOWN)
         )
     spans = [(one.time[0], one.time[-1]) for one in (envelope, activation)]
     begins, ends = zip(*spans, strict=True)

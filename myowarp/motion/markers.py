@@ -25,6 +25,8 @@ UNITS = {"mm": 1e-3, "millimeters": 1e-3, "cm": 1e-2, "centimeters": 1e-2, "m": 
 """Metres of each unit, by lower-case name."""
 SHOWN = 5
 """Markers that are named."""
+UNLIKE = 0.25
+"""Share by which steps of time may differ from those of the rate in the header; rounded ones do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +136,7 @@ class MarkerStream(Stream):
             )
         self._once("marker", names)
         self._compare("NumMarkers", facts.get("NumMarkers", ""), len(names), "markers", refused=True)
-        self._names, self._unit = names, UNITS[unit.lower()]
+        self._names, self._unit, self._rate = names, UNITS[unit.lower()], facts.get("DataRate", "")
         labels = tuple(f"{name} {axis}" for name in names for axis in "XYZ")
         # OpenSim's inverse kinematics reads all frames that are there.
         return Header(labels, rows=facts.get("NumFrames", ""), counts=False)
@@ -176,7 +178,18 @@ class MarkerStream(Stream):
         return float(line.split("\t", 2)[1])
 
     def placed(self, table: Storage) -> Markers:
-        """Return the markers of some rows, in metres; those at exactly 0 0 0 were not seen, which is said."""
+        """Return the markers of some rows, in metres; those at exactly 0 0 0 were not seen, which is said.
+
+        So is a rate in the header that is not that of the times.
+        """
+        if NUMBER.fullmatch(self._rate) and len(table.time) > 1:
+            step = float(np.median(np.diff(table.time)))
+            if abs(float(self._rate) * step - 1.0) > UNLIKE:
+                logger.warning(
+                    "%r says DataRate=%s, and its times are at %.4g Hz; the times count",
+                    *(str(self.path), self._rate, 1.0 / step),
+                )
+            self._rate = ""
         positions = self._unit * table.values.reshape(len(table.time), len(self._names), 3)
         nowhere = (positions == 0.0).all(axis=2)
         if nowhere.any() and not self._told:

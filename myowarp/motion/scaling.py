@@ -36,6 +36,8 @@ UNSTATED = (-1.0, -1.0)
 
 MOST = 10.0
 """By which a measurement may enlarge a body; 1 over it is the least."""
+HEAVIER = 100.0
+"""By which a person may be heavier than the model, which a mass in grams is not; 1 over it is the least."""
 
 Measured = tuple[float, tuple[tuple[str, str, float, float], ...]]
 """A factor, and for each pair the names, and distances in the model and in the recording [m]."""
@@ -257,7 +259,7 @@ def scale(source: Path, setup: ScaleSetup, static: Path | None = None, device: A
         device: Where the pose is found.
 
     Raises:
-        ValueError: A file is not what it should be, or a marker is missing.
+        ValueError: A file is not what it should be, a marker is missing, or the mass is no person's.
         NotImplementedError: The model has something that is not supported.
         OSError: A file cannot be read.
     """
@@ -265,6 +267,12 @@ def scale(source: Path, setup: ScaleSetup, static: Path | None = None, device: A
     if setup.markers is not None:
         document = set_markers(document, parse(setup.markers)[0])
     named = [*setup.manual, *(body for one in setup.measurements for body in one.bodies)]
+    there = document.model.mass
+    if setup.mass is not None and there and not there / HEAVIER < setup.mass < HEAVIER * there:
+        raise ValueError(
+            f"<mass> must be {1.0 / HEAVIER:g} to {HEAVIER:g} times the model's {there:.4g} kg, got "
+            f"{setup.mass:g} kg; write it in kg"
+        )
     bodies = (GROUND, *document.model.bodies)
     unknown = tuple(dict.fromkeys(name for name in named if name not in bodies))
     factors = {name: np.ones(3) for name in bodies}

@@ -26,10 +26,12 @@ from myowarp.definitions.parameter import MOST, Ramp, Uniform, Value
 from myowarp.definitions.registry import Registry
 from myowarp.definitions.task import TaskSpec
 from myowarp.disk import number_in
+from myowarp.models.conditions.added_mass import HEAVIEST
 
 T = TypeVar("T")
 
 INF = math.inf
+TEAR_TIME = "tear_time"
 
 
 Span = tuple[float, float]
@@ -214,12 +216,16 @@ def _columns() -> Registry[CohortColumn]:
         "tendon_transfer": Switch("tendon_transfer", "affected", "Tendon transfer"),
         "reafferentation": Switch("reafferentation", "affected", "Reafferentation"),
         "tendon_tear": TornMuscles("tendon_tear", "muscles", "Torn tendon"),
-        "tear_time": CohortColumn(
+        TEAR_TIME: CohortColumn(
             "tendon_tear", "time", "Time of the tear", "s", changes=False, of="tendon_tear"
         ),
-        "exo_assistance": Share("exoskeleton", "assistance", "Exoskeleton, share of muscle torque"),
-        "exo_mass": CohortColumn("exoskeleton", "forearm_mass", "Exoskeleton on the forearm", "kg"),
-        "load_mass": CohortColumn("load", "mass", "Load in the hand", "kg"),
+        "exo_assistance": Share(
+            "exoskeleton", "assistance", "Exoskeleton, share of muscle torque", otherwise=0.0
+        ),
+        "exo_mass": CohortColumn(
+            "exoskeleton", "forearm_mass", "Exoskeleton on the forearm", "kg", high=HEAVIEST
+        ),
+        "load_mass": CohortColumn("load", "mass", "Load in the hand", "kg", high=HEAVIEST),
         "noise_signal": Share("motor_noise", "signal", "Motor noise per excitation", otherwise=0.0),
         "noise_constant": Share("motor_noise", "constant", "Motor noise at rest", otherwise=0.0),
     }.items():
@@ -236,6 +242,16 @@ EXCLUSIVE = (("tendon_transfer", "reafferentation"),)
 
 Entries = Mapping[str, Sequence[Any]]
 """Checked entries of all patients by column name."""
+
+
+def acting_from(entries: Entries, name: str) -> list[float]:
+    """Return when each entry of a column begins to act, at the earliest [s of the episode]."""
+    if name != TEAR_TIME:
+        return [entry.onset[0] if isinstance(entry, Course) else 0.0 for entry in entries[name]]
+    torn = zip(entries[name], entries["tendon_tear"], strict=True)
+    return [
+        (time.start[0] if isinstance(time, Course) else time) if muscles else 0.0 for time, muscles in torn
+    ]
 
 
 def conditions_of(entries: Entries, spec: TaskSpec, repeats: int = 1) -> tuple[Condition, ...]:
@@ -282,7 +298,7 @@ def _tear(values: Entries) -> dict[str, Any]:
     The time is that of a change of what is transmitted: whoever is told the parameters sees the tear come.
     """
     if "muscles" not in values:
-        raise ValueError("cohort column tear_time: it needs column tendon_tear, which says what tears")
+        raise ValueError(f"cohort column {TEAR_TIME}: it needs column tendon_tear, which says what tears")
     torn = sorted({muscle for muscles in values["muscles"] for muscle in muscles})
     left = np.array([[float(muscle not in muscles) for muscle in torn] for muscles in values["muscles"]])
     transmission: Value = left

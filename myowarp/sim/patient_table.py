@@ -16,8 +16,9 @@ from myowarp.definitions.muscle import muscle_names
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TaskSpec
 from myowarp.extras import to_install
+from myowarp.process import warn_once
 from myowarp.sim.build import oracle_model
-from myowarp.sim.patient_columns import COLUMNS, EXCLUSIVE, TornMuscles, conditions_of, is_course
+from myowarp.sim.patient_columns import COLUMNS, EXCLUSIVE, TornMuscles, acting_from, conditions_of, is_course
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -63,7 +64,18 @@ class Population:
         patients = conditions_of(self.entries, setup.spec, each)
         conditions = (*(setup.conditions or ()), *patients)
         resolve(conditions, setup.spec)
+        self._say_late((setup.horizon or setup.spec.horizon) * setup.spec.control_dt)
         return replace(setup, conditions=conditions)
+
+    def _say_late(self, end: float) -> None:
+        """Say which entries change nothing, as they act only after the end of an episode [s]."""
+        for name, entries in self.entries.items():
+            late = [i for i, begin in enumerate(acting_from(self.entries, name)) if begin >= end]
+            if late:
+                warn_once(
+                    f"cohort column {name!r} changes nothing in {len(late)} of {len(entries)} patients: an "
+                    f"episode ends at {end:g} s, {_row(late[0], self.patients)} has {entries[late[0]]}"
+                )
 
 
 def population_of(table: str | Path | pd.DataFrame, spec: TaskSpec) -> Population:
@@ -177,6 +189,8 @@ def _frame(table: Any) -> tuple[list[str], list[list[Any]]]:
     """Return header and rows of a DataFrame."""
     if not hasattr(table, "itertuples"):
         raise ValueError(f"a cohort table is a path or a DataFrame, got {type(table).__name__}")
+    if PATIENT in table.index.names and PATIENT not in table.columns:
+        table = table.reset_index()
     return [str(name) for name in table.columns], [list(row) for row in table.itertuples(index=False)]
 
 

@@ -30,6 +30,7 @@ import warp as wp
 
 from myowarp.disk import array_from_bytes, check_output, in_place, is_ours
 from myowarp.kernels.write import write
+from myowarp.process import warn_once
 
 if TYPE_CHECKING:
     from myowarp.sim.shard import Shard
@@ -47,6 +48,7 @@ CTRL = "data.ctrl"
 MUSCLES = "muscles."  # begin of the names of muscle state
 COUNTER = "episode."  # begin of the names of counters
 MOST_COUNTED = 2**31 - 2  # one step later still an int32
+BEYOND = 1.5  # rad out of the range of a hinge from which angles may be degrees
 UNIT = 1e-3  # how far from 1 the length of a given quaternion may be
 TASK, PHYSICS = "task", "physics"  # entries of a file that name these
 ENCRYPTED = 1  # bit of an entry of a zip file
@@ -315,6 +317,7 @@ def start_arrays(sim: Simulation, options: Mapping[str, Any]) -> dict[str, np.nd
         start[f"data.{name}"] = np.broadcast_to(values, shape)
     if "data.qpos" in start:
         _check_quaternions(sim.scene.oracle, start["data.qpos"])
+        _say_degrees(sim.scene.oracle, start["data.qpos"])
     return start
 
 
@@ -330,6 +333,18 @@ def _check_quaternions(model: mujoco.MjModel, qpos: np.ndarray) -> None:
                     f"reset option 'qpos' must have a unit quaternion in entries {first} to {first + 3}, the "
                     f"orientation of joint {model.joint(j).name!r}, got one of length {wrong[0]:.3g}"
                 )
+
+
+def _say_degrees(model: mujoco.MjModel, qpos: np.ndarray) -> None:
+    """Say which hinge of configurations (num_worlds, nq) is out of its range as angles in degrees are."""
+    for j in np.flatnonzero((model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE) & (model.jnt_limited != 0)):
+        angles, (low, high) = qpos[:, model.jnt_qposadr[j]], model.jnt_range[j]
+        far = angles[(angles < low - BEYOND) | (angles > high + BEYOND)]
+        if far.size:
+            warn_once(
+                f"reset option 'qpos' has joint {model.joint(j).name!r} at {far[0]:.4g} rad, far out of its "
+                f"range, {low:.3g} to {high:.3g} rad; is it in degrees?"
+            )
 
 
 def _fitting(name: str, array: np.ndarray, own: np.ndarray, number: int) -> np.ndarray:

@@ -128,6 +128,13 @@ def test_examples_learn(file, budget):
     assert int(re.search(r"success (\d+)%", run.stdout)[1]) >= 90, run.stdout
 
 
+def test_stable_baselines3_refuses_views_that_the_next_step_overwrites():
+    with pytest.raises(
+        ValueError, match=r"^the environment must be made without copy=False: Stable-Baselines3"
+    ):
+        sb3_env(bare(copy=False))
+
+
 @pytest.mark.parametrize("adapter", [sb3_env, rsl_rl_env])
 def test_what_does_not_fit_is_refused(adapter):
     env = gym.make_vec(ID, 1, **OPTIONS)

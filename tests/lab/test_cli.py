@@ -18,6 +18,7 @@ from often import covering, kinds, often
 from myowarp.apps.cli.main import COMMANDS, command
 from myowarp.apps.cli.motion import Motion
 from myowarp.definitions.task import TASKS
+from myowarp.disk import sentence
 from myowarp.kernels.episode import SUCCESS_RULE
 from myowarp.tasks.paper import grid
 from myowarp.view.drawing.render import NoGraphicsError, WorldRenderer
@@ -561,6 +562,31 @@ def test_command_in_a_process_of_its_own(tmp_path):
     assert json.loads(done.stdout)["steps"] == 3
     assert "No video: drawing needs OpenGL, got MUJOCO_GL=disable" in done.stderr
     assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_paths_with_umlauts_where_the_locale_is_ascii(tmp_path):
+    """Parquet takes a path in UTF-8, whatever Python makes of it."""
+    ascii_alone = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    arguments = ("rollout", ELBOW, "--num-worlds", "2", "--steps", "3", "--device", "cpu")
+    done = shell(*arguments, "--signals", "Übung.parquet", cwd=tmp_path, **ascii_alone)
+    assert done.returncode == 0, done.stderr
+    assert "Übung.parquet" in {file.name for file in tmp_path.iterdir()}
+
+
+@pytest.mark.slow
+def test_signs_that_a_terminal_lacks_end_nothing(tmp_path):
+    done = shell("motion", "--help", cwd=tmp_path, PYTHONUTF8="1", PYTHONIOENCODING="ascii")
+    assert done.returncode == 0, done.stderr
+    assert r"\u2022 kinematics" in " ".join(done.stdout.split())
+
+
+def test_a_name_that_is_no_utf_8_is_one_sentence():
+    with pytest.raises(UnicodeEncodeError) as caught:
+        "tmp\udcff.parquet".encode()
+    assert sentence(caught.value) == (
+        r"'tmp\udcff.parquet' has characters that are none of utf-8; choose another name"
+    )
 
 
 @pytest.mark.slow

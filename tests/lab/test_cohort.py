@@ -1,6 +1,7 @@
 """Cohorts: each patient as if alone, results recomputed by hand, files read back, the command."""
 
 import dataclasses
+import os
 from functools import partial
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from myowarp.apps.policies.hold import Hold
 from myowarp.definitions.task import TASKS, Column
+from myowarp.disk import locked
 from myowarp.models.conditions.exoskeleton import Exoskeleton
 from myowarp.models.conditions.fatigue_3ccr import Fatigue3CCR
 from myowarp.models.conditions.load import Load
@@ -22,6 +24,7 @@ pd = pytest.importorskip("pandas")
 pytest.importorskip("pyarrow")
 
 from myowarp.apps.studies.cohort import run, run_cohort  # noqa: E402
+from myowarp.apps.studies.parts import LOCK  # noqa: E402
 
 ELBOW, HAND, REACH = "myoElbowPose1D6MRandom-v0", "myoHandPoseRandom-v1", "myoHandReachFixed-v0"
 STEPS = 8
@@ -330,7 +333,7 @@ def test_command(command, five, tmp_path):
     )
     status, printed, err = command(tmp_path / "patients.csv", *arguments)
     assert status == 0, err
-    names = ["assistance.png", "plot.png", "results.parquet", "settings.json", "summary.csv"]
+    names = [LOCK, "assistance.png", "plot.png", "results.parquet", "settings.json", "summary.csv"]
     assert sorted(path.name for path in out.iterdir()) == names
     pd.testing.assert_frame_equal(pd.read_parquet(out / "results.parquet"), five.samples)
     assert (out / "plot.png").read_bytes().startswith(b"\x89PNG")
@@ -356,7 +359,20 @@ def test_a_failing_policy_leaves_nothing(command, tmp_path):
     )
     assert status == 2
     assert "actions must be floating point of shape (5, 6), got float32 of shape (5, 3)" in err
-    assert not out.exists()
+    assert [file.name for file in out.iterdir()] == [LOCK]
+
+
+def test_a_folder_that_another_process_writes_into_is_left_alone(command, tmp_path, monkeypatch):
+    """What the other one writes later is not there yet when this one begins."""
+    monkeypatch.setattr(run, "Simulation", None)
+    PATIENTS.to_csv(tmp_path / "patients.csv", index=False)
+    with locked(tmp_path / LOCK, wait=False):
+        status, _, err = command(
+            tmp_path / "patients.csv", "--task", ELBOW, "--device", "cpu", "--output", tmp_path
+        )
+    assert status == 2
+    assert f"folder '{tmp_path}' is in use by process {os.getpid()} on " in err
+    assert "wait for it, or choose another --output" in err
 
 
 def test_an_output_that_is_a_file(command, tmp_path, monkeypatch):

@@ -11,6 +11,7 @@ import pytest
 from myowarp.definitions.condition import CONDITIONS
 from myowarp.definitions.task import TASKS
 from myowarp.extras import to_install
+from myowarp.process import warn_once
 from myowarp.sim.simulation import Simulation
 
 pd = pytest.importorskip("pandas")
@@ -147,6 +148,39 @@ def test_parquet_and_frames_are_like_csv(tmp_path):
     assert read_population(nullable, ()).entries == {"tendon_transfer": [1.0, 0.0], "strength": [1.0, 0.5]}
 
 
+def test_names_in_the_index_of_a_frame():
+    population = read_population(PATIENTS.set_index("patient"), ELBOW_MUSCLES)
+    assert population == read_population(PATIENTS, ELBOW_MUSCLES)
+
+
+def test_the_mass_of_an_exoskeleton_brings_no_assistance():
+    (brace,) = conditions_of({"exo_mass": [0.0, 0.5]}, TASKS[ELBOW])
+    assert brace.assistance.tolist() == [0.0, 0.0]
+    assert brace.forearm_mass.tolist() == [0.0, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        (
+            {"tendon_tear": ["", "BRA", "BRA"], "tear_time": [9, 1.9, 150]},
+            "cohort column 'tear_time' changes nothing in 1 of 3 patients: an episode ends at 2 s, row 3 "
+            "(patient '3') has 150.0",
+        ),
+        (
+            {"strength": ["1 -> 0.3 @ 2..3", "1 -> 0.3 @ 1..3", 0.5]},
+            "cohort column 'strength' changes nothing in 1 of 3 patients: an episode ends at 2 s, row 1 "
+            "(patient '1') has 1 -> 0.3 @ 2..3",
+        ),
+        ({"tendon_tear": ["BRA"], "tear_time": [1]}, ""),
+    ],
+)
+def test_what_begins_after_the_end_is_said(caplog, columns, message):
+    warn_once.cache_clear()
+    plan.plan_cohort(pd.DataFrame(columns), ELBOW, steps=100)
+    assert caplog.messages == [message] * bool(message)
+
+
 def test_names_of_muscles_may_lack_their_side():
     names = ("FPL_r", "EPL_r")
     table = pd.DataFrame({"tendon_tear": ["FPL", "EPL_r + FPL", ""]})
@@ -173,7 +207,11 @@ def test_names_of_muscles_may_lack_their_side():
         ),
         (
             "patient;load_mass\nA;0,5\n",
-            r"^cohort row 1 \(patient 'A'\), column 'load_mass': needs a number >= 0 kg, got '0,5'$",
+            r"^cohort row 1 \(patient 'A'\), column 'load_mass': needs a number in 0\.\.100 kg, got '0,5'$",
+        ),
+        (
+            "patient,load_mass\nA,2500\n",
+            r"^cohort row 1 \(patient 'A'\), column 'load_mass': needs a number in 0\.\.100 kg, got '2500'$",
         ),
         (
             "patient,initial_fatigue\nA,0\nB,1.5\n",

@@ -227,6 +227,26 @@ def test_a_page_says_that_it_failed_and_how_it_walks(task, known):
     assert ">failed<" not in status(live)
 
 
+@pytest.mark.parametrize(
+    ("actions", "got"),
+    [
+        (np.ones((3, 6), dtype=int), "must be floating point of shape (3, 6), got int64 of shape (3, 6)"),
+        (np.ones((3, 5)), "must be floating point of shape (3, 6), got float64 of shape (3, 5)"),
+        (np.full((3, 6), np.nan), "must be finite, got NaN or infinity for worlds [0, 1, 2]"),
+        (np.full((3, 6), 1e300), ""),
+    ],
+)
+def test_a_page_takes_the_actions_that_an_environment_takes(actions, got):
+    setup = Setup(task="myoElbowPose1D6MRandom-v0", device="cpu")
+    session = Session("elbow", setup, 2, "mine", lambda name, sim: lambda obs: actions)
+    if got:
+        with pytest.raises(ValueError, match=f"^actions {re.escape(got)}$"):
+            session.step()
+    else:
+        session.step()
+        assert (session.sim.action.numpy() == 1.0).all()
+
+
 def test_eval_prints_rules_units_and_one_episode(capsys, monkeypatch):
     """A unit such as m/s is no markup; without a spread there is no interval."""
     monkeypatch.setenv("COLUMNS", "200")

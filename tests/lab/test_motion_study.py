@@ -22,6 +22,7 @@ from myowarp.motion.setup import TrialSetup  # noqa: E402
 from myowarp.motion.storage import Storage, read_storage, write_storage  # noqa: E402
 from myowarp.osim.body.skeleton import Bones  # noqa: E402
 from myowarp.osim.document.read.model import read_model  # noqa: E402
+from myowarp.process import warn_once  # noqa: E402
 
 DATA = Path(__file__).parents[1] / "data"
 ARM, LEG, GAIT = (DATA / f"osim/{name}.osim" for name in ("arm26", "leg6dof9musc", "gait10dof18musc"))
@@ -184,6 +185,14 @@ def test_a_study(table, capsys):
         ValueError, match=r"holds a motion study of other settings \(draws is 60 there and 2 here\)"
     ):
         Study(table, draws=2, reserve=1.0, output=output)()
+
+
+def test_a_factor_in_percent_is_said(table, caplog):
+    frame = pd.read_csv(table).assign(mass=[1.0, 3.0, 40.0])
+    frame.to_csv(table, index=False)
+    warn_once.cache_clear()
+    plan.plan_study(table)
+    assert caplog.messages == ["mass of 40 is 40 times the model's; for 40 % write 0.4"]
 
 
 @pytest.mark.parametrize(

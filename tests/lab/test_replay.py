@@ -13,6 +13,7 @@ from myowarp.kernels.action import excitation
 from myowarp.motion.movement import read_motion
 from myowarp.motion.storage import Storage, read_storage
 from myowarp.osim.body.skeleton import Bones
+from myowarp.process import warn_once
 
 DATA = Path(__file__).parents[1] / "data"
 TRAJECTORY = DATA / "opensim/trajectory.sto"
@@ -52,6 +53,26 @@ def test_its_states_are_a_motion():
     motion = read_motion(TRAJECTORY, Bones.read(DATA / "osim/arm26.osim"))
     law = np.stack([0.3 + 0.3 * np.sin(4.0 * motion.time), 1.2 + 0.6 * np.cos(4.0 * motion.time)], axis=1)
     np.testing.assert_allclose(motion.values, law, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("time", "done", "said"),
+    [
+        ((0.0, 0.3), 22, ()),
+        ((0.0, 0.3), 30, ("moco.sto ends after 0.3 s of an episode; its last row holds from there on",)),
+        (
+            (0.0, 300.0),
+            0,
+            ("the recording 'moco.sto' lasts 300 s at 0.0033 Hz; is its time in ms, or in percent?",),
+        ),
+    ],
+)
+def test_a_file_that_ends_or_hardly_begins_is_said(caplog, time, done, said):
+    warn_once.cache_clear()
+    table = Storage(MUSCLES, np.array(time), np.array([6 * [0.1], 6 * [0.5]]))
+    with caplog.at_level(logging.WARNING, "myowarp"):
+        Replay("moco.sto", table, simulated(MUSCLES, done=done))(np.zeros((2, 1)))
+    assert tuple(caplog.messages) == said
 
 
 def test_motors_alone_play():

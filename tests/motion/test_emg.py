@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from myowarp.apps.cli.motion.emg import Emg
-from myowarp.motion.emg import agreement, envelopes
+from myowarp.apps.cli.motion.said import of_emg
+from myowarp.motion.emg import Comparison, agreement, envelopes
 from myowarp.motion.storage import Storage, read_storage, write_storage
 
 OSIM = Path(__file__).parents[1] / "data/osim"
@@ -111,6 +112,30 @@ def test_envelopes_are_no_raw_recordings(caplog):
     (said,) = (record.getMessage() for record in caplog.records)
     assert said.startswith("column 'tib_ant_r' of the electromyogram has ")
     assert said.endswith(" % of its deviation between 20 and 450 Hz: is it an envelope already?")
+
+
+@pytest.mark.parametrize("level", [0.0, 3.0, -1e6])
+def test_a_channel_that_is_off_agrees_with_nothing(level, caplog):
+    """What filters make of a constant is rounding; scaled to its greatest value it would look like work."""
+    raw = recording()
+    raw.values[:, 0] = level
+    with caplog.at_level("WARNING", "myowarp"):
+        found = envelopes(raw)
+    assert not found.values[:, 0].any()
+    assert found.values[:, 1].max() == 1.0
+    assert "column 'soleus_r' of the electromyogram has no signal" in caplog.messages
+    compared = Comparison(found, activations(0.02), agreement(found, activations(0.02)))
+    assert {one.muscle for one in compared.found if np.isnan(one.correlation)} == {"soleus_r", "vas_int_r"}
+    said = "soleus_r: no correlation, as its electromyogram or its activation does not change"
+    assert said in of_emg(compared)
+
+
+def test_columns_of_no_muscle_are_said(caplog):
+    raw = recording()
+    raw = Storage(("soleus_r", "soleus_L", "vas_int_r"), raw.time, raw.values)
+    with caplog.at_level("WARNING", "myowarp"):
+        agreement(envelopes(raw), activations(0.02))
+    assert "no muscle has the name of these columns of the electromyogram: soleus_L" in caplog.messages
 
 
 def test_no_muscle_in_common():

@@ -193,6 +193,18 @@ def test_a_file_that_ends_in_a_number_is_said(tmp_path, caplog):
         caplog.clear()
 
 
+@pytest.mark.parametrize(
+    ("rate", "said"),
+    [("200", "and its times are at 100 Hz; the times count"), ("110", ""), ("none", ""), ("1e5", "100 Hz")],
+)
+def test_a_rate_that_is_not_that_of_the_times_is_said(tmp_path, caplog, rate, said):
+    path = written(tmp_path, TRC.replace("100\t100\t3", f"{rate}\t100\t3"))
+    assert read_trc(path).time.tolist() == [0.0, 0.01, 0.02]
+    assert len(caplog.messages) == bool(said)
+    assert said in caplog.text
+    assert not said or caplog.text.count(f"{str(path)!r} says DataRate={rate}") == 1
+
+
 def test_latin_1(tmp_path):
     path = tmp_path / "a.trc"
     path.write_bytes(TRC.replace("HEEL", "Kn\u00f6chel").encode("latin-1"))

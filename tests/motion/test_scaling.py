@@ -1,6 +1,7 @@
 """Scaling of models against OpenSim 4.6, as recorded, and what is refused."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -192,6 +193,13 @@ def test_a_recording_in_another_unit_is_refused(person):
         ValueError, match=r"'\w+' makes bodies .*e\+03 times as large, which must be 0\.1 to 10"
     ):
         scale(DATA / "osim/leg6dof9musc.osim", read_setup(SETUP), path)
+
+
+def test_a_mass_in_grams_is_refused(person):
+    setup = replace(read_setup(SETUP), mass=72600.0)
+    message = r"^<mass> must be 0\.01 to 100 times the model's [0-9.]+ kg, got 72600 kg; write it in kg$"
+    with pytest.raises(ValueError, match=message):
+        scale(DATA / "osim/leg6dof9musc.osim", setup, person)
 
 
 def test_a_recording_is_needed(person):

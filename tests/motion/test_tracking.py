@@ -29,6 +29,7 @@ from myowarp.osim.body.hill_muscle import HillMuscle
 from myowarp.osim.body.skeleton import Bones
 from myowarp.osim.document import dynamics
 from myowarp.osim.document.read.model import read_model
+from myowarp.process import warn_once
 
 ARM = Path(__file__).parents[1] / "data/osim/arm26.osim"
 TIME = np.linspace(0.0, 0.2, 21)
@@ -174,7 +175,7 @@ def test_a_set_up_file_of_cmc(bones, tmp_path):
             controlled(bones, controls)
 
 
-def test_the_command(bones, tmp_path, capsys):
+def test_the_command(bones, tmp_path, capsys, caplog):
     write_angles(tmp_path / "wave.mot", bones.model, bones.coordinates, TIME, wave())
     options = {
         "motion": tmp_path / "wave.mot",
@@ -190,9 +191,10 @@ def test_the_command(bones, tmp_path, capsys):
     said = capsys.readouterr().err
     assert "rms off the motion" in said
     assert "reserve at" in said
+    warn_once.cache_clear()
     for change, message in (
         ({"reserve": 0.0}, "tracking needs a reserve on every coordinate; 'r_shoulder_elev' has none"),
-        ({"strength": ("BIC=1",)}, "muscle 'BIC' unknown; available: TRIlong"),
+        ({"strength": ("BIC=90",)}, "muscle 'BIC' unknown; available: TRIlong"),
         ({"gain": ("wrist=9",)}, "gain of 'wrist': unknown; available: r_shoulder_elev, r_elbow_flex"),
         ({"gain": ("r_elbow_flex=0",)}, "the gain of 'r_elbow_flex' must be above 0 and finite, got 0"),
         ({"strength": ("BRA",)}, r"--strength must be like soleus_r=0\.9, got 'BRA'"),
@@ -201,3 +203,4 @@ def test_the_command(bones, tmp_path, capsys):
         with pytest.raises(ValueError, match=message) as caught:
             Track(ARM, **{**options, **change}, overwrite=True)()
         assert "\n" not in str(caught.value)
+    assert "the strength BIC of 90 is 90 times the model's; for 90 % write 0.9" in caplog.messages

@@ -273,7 +273,7 @@ def test_other_bodies_cannot_wear_it(body):
             r"^exoskeleton assistance must be at most 4 times the muscles' torque, got 40; "
             r"for 40 % write 0\.4$",
         ),
-        ({"forearm_mass": -1}, r"^exoskeleton forearm_mass must be >= 0, got -1$"),
+        ({"forearm_mass": -1}, r"^exoskeleton forearm_mass must be in 0\.\.100, got -1$"),
         (
             {"assistance": np.ones(3)},
             r"^exoskeleton assistance must be one number or of shape \(2,\), got shape \(3,\)$",

@@ -346,14 +346,15 @@ def test_a_converted_model_runs_its_own_muscles_of_mixed_classes(tmp_path, caplo
 @pytest.mark.parametrize("muscle", HILL)
 def test_bad_parameters_name_muscle_and_value(muscle):
     spec = BODY_TASKS["elbow"]
-    cases = {
-        "max_isometric_force": -5.0,
-        "optimal_fiber_length": 0.0,
-        "pennation_angle_at_optimal": 1.6,
-        "tendon_slack_length": 9.0,
-        "max_contraction_velocity": np.nan,
-    }
-    for name, value in cases.items():
+    cases = (
+        ("max_isometric_force", -5.0),
+        ("optimal_fiber_length", 0.0),
+        ("optimal_fiber_length", 86.0),  # mm
+        ("pennation_angle_at_optimal", 1.6),
+        ("tendon_slack_length", 9.0),
+        ("max_contraction_velocity", np.nan),
+    )
+    for name, value in cases:
         table = MuscleTable(muscle, {name: {"BIClong": value}})
         with pytest.raises(ValueError, match=f"{name} of muscle 'BIClong' must be .*, got {value:.4g}"):
             compile_scene(spec, 1, device="cpu", physics="parity", muscle=table)

@@ -199,7 +199,7 @@ def test_legs_can_wear_devices_at_hips_knees_and_ankles():
             "joint_device period must be 0 or at least the last time of the profile, 2 s, got 1.0",
         ),
         ({"place": (0.0, 1.0)}, r"joint_device place must be three finite numbers, got \(0.0, 1.0\)"),
-        ({"mass": -1.0}, "joint_device mass must be >= 0, got -1"),
+        ({"mass": -1.0}, "joint_device mass must be in 0..100, got -1"),
     ],
 )
 def test_bad_input(options, message):

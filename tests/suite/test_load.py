@@ -283,10 +283,11 @@ def test_palm_is_the_site_of_the_model():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"mass": -1.0}, r"^load mass must be >= 0, got -1$"),
+        ({"mass": -1.0}, r"^load mass must be in 0\.\.100, got -1$"),
         ({"mass": [1.0, 2.0]}, r"^load mass must be one number or of shape \(33,\), got shape \(2,\)$"),
         ({"mass": {"BRA": 1.0}}, r"^load mass must be numbers, got \{'BRA': 1\.0\}$"),
-        ({"mass": np.nan}, r"^load mass must be finite and >= 0, got nan$"),
+        ({"mass": np.nan}, r"^load mass must be in 0\.\.100, got nan$"),
+        ({"mass": 500.0}, r"^load mass must be in 0\.\.100, got 500$"),
     ],
 )
 def test_bad_mass(options, message):

@@ -94,7 +94,8 @@ def test_unknown_model():
 
 def test_csv(tmp_path):
     path = tmp_path / "patient.csv"
-    path.write_text("muscle,max_isometric_force,smoothing_width\na,400,\nb,,0.1\n")
+    text = "\ufeffmuscle,max_isometric_force,smoothing_width\na,400,\nb,,0.1\n"
+    path.write_text(text, encoding="utf-8")  # with the mark that Excel puts first
     got = MuscleTable.read("mujoco", path).of(NAMES, WORLDS)
     assert np.array_equal(got["max_isometric_force"], [[400.0, np.nan, np.nan]], equal_nan=True)
     assert np.array_equal(got["smoothing_width"], [[np.nan, 0.1, np.nan]], equal_nan=True)
@@ -103,9 +104,11 @@ def test_csv(tmp_path):
         ("muscle,max_isometric_force\na,1\na,2\n", "one row for each muscle, got two of 'a'"),
         ("muscle,max_isometric_force\na,x\n", "max_isometric_force of muscle 'a' must be a number, got 'x'"),
         ("muscle,max_isometric_force\na,1,2\n", "must have 2 cells in each row, got more"),
+        ("muscle,max_isometric_force,max_isometric_force\n", "one column 'max_isometric_force', got 2"),
+        ("muscle,max_isometric_force\n\udcff,1\n", "patient.csv is not UTF-8 text"),
         ("muscle,force\na,\n", "parameter of muscle model 'mujoco' 'force' unknown"),
     ):
-        path.write_text(text)
+        path.write_text(text, encoding="utf-8", errors="surrogateescape")
         with pytest.raises(ValueError, match=re.escape(message)):
             MuscleTable.read("mujoco", path)
 

@@ -22,6 +22,7 @@ from test_conditions import NAMES, host_of
 from myowarp.definitions.condition import CONDITIONS
 from myowarp.definitions.task import TASKS
 from myowarp.models.conditions import Fatigue3CCR, Sarcopenia, TendonTear, Uniform
+from myowarp.process import warn_once
 from myowarp.sim.metabolics import Metabolics
 from myowarp.sim.signals import UNITS, Signals
 from myowarp.sim.simulation import Simulation
@@ -335,6 +336,19 @@ def test_start_from_a_configuration():
 
 
 FREE = "myoHandObjHoldRandom-v0"
+
+
+@pytest.mark.parametrize(("angle", "said"), [(1.5, False), (90.0, True), (-3.0, True)])
+def test_angles_in_degrees_are_said(caplog, angle, said):
+    env = gym.make_vec("MyoWarp/myoElbowPose1D6MRandom-v0", num_envs=2, device="cpu", progress=False)
+    warn_once.cache_clear()
+    obs, _ = env.reset(options={"qpos": [angle]})
+    assert obs[:, 0].tolist() == [angle, angle]
+    sentence = (
+        f"reset option 'qpos' has joint 'r_elbow_flex' at {angle:.4g} rad, far out of its range, 0 to "
+        "2.27 rad; is it in degrees?"
+    )
+    assert caplog.messages == [sentence] * said
 
 
 @pytest.mark.parametrize(

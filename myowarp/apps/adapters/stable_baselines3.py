@@ -32,9 +32,14 @@ class Sb3VecEnv(VecEnv):
             env: Made with `autoreset_mode="SameStep"`.
 
         Raises:
-            ValueError: It resets in another step, or its output is another library's.
+            ValueError: It resets in another step, or its output is another library's, or no copies.
         """
         check_same_step(env, "numpy")
+        if not env.copy:
+            raise ValueError(
+                "the environment must be made without copy=False: Stable-Baselines3 keeps observations "
+                "that the next step would overwrite"
+            )
         self.env = env
         self._actions = env.action_space.sample()
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)

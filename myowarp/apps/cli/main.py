@@ -134,8 +134,21 @@ def _options(kind: type) -> list[str]:
     return OPTION.findall(shown.getvalue())
 
 
+def _speak_utf8() -> None:
+    """Begin again in Python's UTF-8 mode where the locale is ASCII, for paths with umlauts.
+
+    In other locales a sign that the terminal lacks is shown by its number, and ends nothing.
+    """
+    if sys.getfilesystemencoding() == "ascii" and os.environ.get("PYTHONUTF8") != "1":
+        os.execve(sys.executable, sys.orig_argv, os.environ | {"PYTHONUTF8": "1"})
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
 def command() -> None:
     """Entry point of the command, in a process of its own."""
+    _speak_utf8()
     gc.freeze()  # half a million objects of Warp's stay to the end; not looking through them saves a second
     try:
         try:

@@ -19,6 +19,8 @@ import numpy as np
 
 from myowarp.kernels.action import action_of, excitation
 from myowarp.motion.storage import SUFFIXES, Storage
+from myowarp.motion.units import hardly_seconds
+from myowarp.process import warn_once
 
 if TYPE_CHECKING:
     from myowarp.sim.simulation import Simulation
@@ -64,12 +66,14 @@ class Replay:
             )
         if values.size and values.max() > (most := excitation(1.0, scene.spec.linear_excitation)):
             logger.warning("excitations of %s above %.3f become %.3f: actions give no more", name, most, most)
+        if doubt := hardly_seconds(Path(name), storage.time):
+            logger.warning("%s", doubt)
         begin = storage.time[0]
         if begin > (1.0 + ROUNDING) * scene.control_dt:
             logger.warning("%s begins at %g s; that is the begin of an episode", name, begin)
         else:
             begin = 0.0
-        self._time, self._values = storage.time - begin, values
+        self._name, self._time, self._values = name, storage.time - begin, values
         self._sim, self._actuator_id = sim, scene.muscles.actuator_id
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
@@ -77,6 +81,8 @@ class Replay:
         scene = self._sim.scene
         action = np.zeros((len(obs), scene.num_actions), dtype=np.float32)
         time = (self._sim.episode.step_count.numpy() + 1) * scene.control_dt
+        if time.max() > (end := self._time[-1]) + ROUNDING * scene.control_dt:
+            warn_once(f"{self._name} ends after {end:.4g} s of an episode; its last row holds from there on")
         for muscle, actuator in enumerate(self._actuator_id):
             action[:, actuator] = action_of(
                 np.interp(time, self._time, self._values[:, muscle]), scene.spec.linear_excitation

@@ -42,7 +42,7 @@ def save_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         OSError: The file cannot be written.
     """
     names = list(dict.fromkeys(name for row in rows for name in row))
-    with in_place(path) as scratch, scratch.open("w", newline="") as file:
+    with in_place(path) as scratch, scratch.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, names, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
@@ -54,7 +54,7 @@ def read_numbers(path: Path) -> dict[str, np.ndarray]:
     Raises:
         OSError: It cannot be read.
     """
-    with path.open(newline="") as file:
+    with path.open(encoding="utf-8-sig", newline="") as file:
         rows = list(csv.DictReader(file, restval=""))
     names = [name for name in rows[0] if name is not None] if rows else []
     columns = {name: np.array([_value(row[name]) for row in rows]) for name in names}

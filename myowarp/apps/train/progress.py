@@ -65,7 +65,7 @@ class Progress:
             self._event(step=after + 1, session_log=SessionLog(status=SessionLog.START))
         with in_place(folder / CSV) as scratch, scratch.open("w", newline="", encoding="utf-8") as file:
             file.writelines([head, *kept])
-        self._file = (folder / CSV).open("a", newline="")
+        self._file = (folder / CSV).open("a", newline="", encoding="utf-8")
         columns = next(csv.reader([head]), [])
         self._rows = csv.DictWriter(self._file, columns, restval="", extrasaction="ignore")
         self._live = Live(console=console, auto_refresh=False, transient=True)

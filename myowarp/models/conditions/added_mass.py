@@ -27,6 +27,7 @@ BATCHED = (*MASS_FIELDS, "body_inertia")
 
 Triple = tuple[float, float, float]
 GRAY = (0.3, 0.3, 0.3, 1.0)
+HEAVIEST = 100.0  # kg: a slip of grams is more; nobody lifts it with a hand
 USUAL = 2.0  # kg: the greatest load of Caggiano et al. (2022), and the end of a slider
 
 
@@ -90,11 +91,11 @@ class AddedMass:
         """Put its mass [kg] on the device; `label` names the parameter in messages.
 
         Raises:
-            ValueError: The mass is negative or does not fit the number of worlds.
+            ValueError: The mass is negative or above `HEAVIEST`, or does not fit the number of worlds.
         """
         alone = self._build().compile()
         unit_inertia = wp.vec3(*(alone.body_inertia[1] / alone.body_mass[1]))
-        parameter = Parameter(label, mass, scene, (), neutral=0.0, low=0.0, usual=USUAL)
+        parameter = Parameter(label, mass, scene, (), neutral=0.0, low=0.0, high=HEAVIEST, usual=USUAL)
         return HungMass(scene, clock, weighed_body(scene.oracle, self.name), unit_inertia, parameter)
 
 

@@ -53,7 +53,7 @@ class Exoskeleton(Condition):
     Attributes:
         assistance: Torque as a share of the muscles' torque [1], >= 0; not used with a motor.
         motor: Whether the policy commands the torque instead.
-        forearm_mass: Mass of the part on the forearm [kg], >= 0.
+        forearm_mass: Mass of the part on the forearm [kg], 0 to 100.
         max_torque: Torque of the motor at action 1 [N m].
         effort_weight: Weight of the motor's reward term `exo_effort`, -(torque / max_torque)^2.
     """

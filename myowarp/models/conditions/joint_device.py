@@ -61,7 +61,7 @@ class JointDevice(Condition):
         delay: From what the motor is to do until it does it [s]; the next whole number of control steps.
         limit: Largest torque of spring and motor together [N m].
         motor: Whether the policy commands the motor, too: one more action, times `limit`.
-        mass: Mass on the limb that the joint turns [kg], >= 0: a sphere of 4 cm radius.
+        mass: Mass on the limb that the joint turns [kg], 0 to 100: a sphere of 4 cm radius.
         place: Where its center is [m], in the limb's frame; None: at the limb's center of mass.
     """
 

@@ -31,7 +31,7 @@ class Load(Condition):
     """A weight in the hand.
 
     Attributes:
-        mass: Mass [kg], >= 0.
+        mass: Mass [kg], 0 to 100.
         radius: Radius of the sphere [m]; its inertia is 2/5 mass radius^2.
     """
 

@@ -36,6 +36,9 @@ LEAST_TENDON = 0.1
 """A tendon derived from MuJoCo's muscle that is shorter than this is rigid [optimal fiber lengths]."""
 
 
+LONGEST = 50.0
+"""Longest paths that an optimal fiber may have; MuJoCo's torso has 15, a length in mm has 100 or more."""
+
 GRID = 4001
 
 
@@ -119,7 +122,8 @@ class Hill(MuscleModel):
             rows = np.repeat(rows, len(own), axis=0) if len(rows) < len(own) else rows
             rows[:, chosen] = own
             tables, spans = np.concatenate([tables, more]), np.concatenate([spans, where])
-        self._check_slack(rows["tendon_slack_length"])
+        self._check_length("tendon_slack_length", rows["tendon_slack_length"], 1.0)
+        self._check_length("optimal_fiber_length", rows["optimal_fiber_length"], LONGEST)
         if not len(tables):
             tables, spans = np.zeros((1, KNOTS, 2)), np.zeros((1, 2))
         return rows, tables, spans
@@ -140,13 +144,14 @@ class Hill(MuscleModel):
         own = {**own, **DEFAULTS[law], **defaults}
         return {name: self._value(name, default)[:, chosen] for name, default in own.items()}
 
-    def _check_slack(self, slack: np.ndarray) -> None:
-        """Raise ValueError if a given slack length is beyond the longest path."""
+    def _check_length(self, name: str, lengths: np.ndarray, most: float) -> None:
+        """Raise ValueError if a part of a muscle is longer than so many times the longest path."""
         longest = self._length_range[:, 1]
-        for world, muscle in np.argwhere(slack > np.where(longest > 0.0, longest, np.inf))[:1]:
+        for world, muscle in np.argwhere(lengths > np.where(longest > 0.0, most * longest, np.inf))[:1]:
+            times = f"at most {most:g} times" if most > 1.0 else "less than"
             raise ValueError(
-                f"tendon_slack_length of muscle {self.names[muscle]!r} must be less than its path's greatest "
-                f"length {longest[muscle]:.4g} m, got {slack[world, muscle]:.4g}"
+                f"{name} of muscle {self.names[muscle]!r} must be {times} its path's greatest length "
+                f"{longest[muscle]:.4g} m, got {lengths[world, muscle]:.4g}"
             )
 
     def _derive_slack(self, model: mujoco.MjModel, rows: np.ndarray) -> None:

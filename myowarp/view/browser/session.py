@@ -15,10 +15,10 @@ import numpy as np
 
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TaskSpec
-from myowarp.kernels.write import write
 from myowarp.osim.bundle.couplings import follow
 from myowarp.sim.build import full_spec
 from myowarp.sim.economy import Economy
+from myowarp.sim.interop import ActionInput
 from myowarp.sim.patient import Knob, Patient, every_condition
 from myowarp.sim.presets import PRESETS
 from myowarp.sim.signals import Signals
@@ -119,7 +119,7 @@ class Session:
         self.signals = Signals(self.sim) if muscles else None
         self.economy = Economy(self.sim, self.signals) if self.signals is not None else None
         self.patient = Patient(self.sim)
-        self._acting = acting
+        self._acting, self._take = acting, ActionInput(self.sim.action)
         self._own = {body.name for body in plain.bodies}
         self.returns, self.steps = np.zeros(worlds + 1), 0
         self.episode, self.succeeded, self.preset = 0, 0, HEALTHY
@@ -258,15 +258,10 @@ class Session:
         if (ended := self._ended()).any():
             self.succeeded += bool(ended[self.world] and self.success)
             self.restart(ended)
-        actions = np.array(self._act(sim.transition.obs.numpy()), dtype=np.float32)
-        shape = tuple(sim.action.shape)
-        if actions.shape != shape or not np.isfinite(actions).all():
-            raise ValueError(
-                f"policy {self.policy!r} must return finite actions of shape {shape}, got {actions.shape}"
-            )
+        actions = self._act(sim.transition.obs.numpy())
         if self.policy == OPEN_LOOP:
             actions[self.twin] = actions[self.world]
-        write(sim.action, actions.clip(-1.0, 1.0))
+        self._take(actions)
         sim.step()
         self.steps += 1
         self.returns += sim.transition.reward.numpy()

@@ -73,6 +73,8 @@ def of_sensors(parts: Iterable[JointAngles]) -> list[str]:
 def of_emg(compared: Comparison) -> list[str]:
     """Return how alike activations and electromyograms are, the least alike first."""
     return [f"{one.muscle}: correlation {one.correlation:.2f} at a delay of {1e3 * one.delay:.0f} ms"
+            if np.isfinite(one.correlation)
+            else f"{one.muscle}: no correlation, as its electromyogram or its activation does not change"
             for one in compared.found[:SHOWN]]  # fmt: skip
 
 

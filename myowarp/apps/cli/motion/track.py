@@ -9,6 +9,7 @@ from myowarp.apps.cli.motion import options as of
 from myowarp.apps.cli.motion.said import of_tracking
 from myowarp.apps.cli.motion.steps import absent_from, bones_of, check_results, needed, say_saved, setup_of
 from myowarp.apps.cli.options import optional
+from myowarp.definitions.parameter import say_percent
 from myowarp.progress import patient_bar
 
 FILES = (
@@ -42,6 +43,8 @@ class Track(of.Along):
         from myowarp.motion.tracking import WINDOW
 
         factors = numbers_of("strength", self.strength, "soleus_r=0.9")
+        for muscle, factor in factors.items():
+            say_percent(f"the strength {muscle}", factor)
         gains = numbers_of("gain", self.gain, "mtp_angle_r=1600")
         setup = setup_of(self, strength=factors)
         setup = setup.stating(gains={**setup.gains, **gains})

@@ -116,7 +116,7 @@ def audit_all(
             if page is not None:
                 page.add(done[-1])
                 with in_place(folder / "index.html") as scratch:
-                    scratch.write_text(page.html())
+                    scratch.write_text(page.html(), encoding="utf-8")
         bar.update(task, completed=len(jobs), stage="done")
     files = "audit.json" if page is None else "audit.json and index.html"
     console.print(f"Saved {files} in {folder}", markup=False)

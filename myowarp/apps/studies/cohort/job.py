@@ -16,7 +16,8 @@ from myowarp.apps.reports.table import number, terminal
 from myowarp.apps.studies.cohort.plan import plan_cohort
 from myowarp.apps.studies.cohort.plot import draw_cohort, group_patients
 from myowarp.apps.studies.cohort.run import CohortResult, result_files, run_plan
-from myowarp.disk import check_folder, check_overwrite
+from myowarp.apps.studies.parts import LOCK
+from myowarp.disk import check_folder, check_overwrite, locked, make_folder
 from myowarp.extras import to_install
 from myowarp.sim.economy import UNITS as ECONOMY
 from myowarp.sim.economy import doubt, heading
@@ -28,26 +29,18 @@ def run(table: Path, output: Path, suffix: str, console: Console, overwrite: boo
     """Check everything, run the cohort, write results and plot into `output`, and print figures.
 
     Raises:
-        ValueError: An argument or an entry of the table is wrong; nothing was built or written.
+        ValueError: An argument or an entry of the table is wrong, or another process writes into the folder;
+            nothing was built or written.
         ImportError: pandas or pyarrow is not installed.
         OSError: The files cannot be written.
     """
     check_folder(output)
-    check_overwrite((output / name for name in (*result_files(suffix), PLOT, ASSISTANCE)), overwrite)
     plan = plan_cohort(table, **settings)
-    result = run_plan(plan, console)
-    paths = result.save(output, suffix)
-    if importlib.util.find_spec("matplotlib") is None:
-        console.print(f"No plot: it needs matplotlib; run {to_install('plot')}", style="yellow", markup=False)
-    else:
-        from myowarp.apps.studies.cohort.assistance import assistance_map, crosses
-
-        paths.append(output / PLOT)
-        draw_cohort(result, paths[-1])
-        if crosses(result.summary):
-            paths.append(output / ASSISTANCE)
-            with panel.style(9.5):
-                panel.save(assistance_map(result.summary, result.settings), paths[-1], dpi=130)
+    make_folder(output)
+    with locked(output / LOCK, wait=False):
+        check_overwrite((output / name for name in (*result_files(suffix), PLOT, ASSISTANCE)), overwrite)
+        result = run_plan(plan, console)
+        paths = [*result.save(output, suffix), *_plots(result, output, console)]
     Console().print(figures(result))
     summary = result.summary
     said = (
@@ -58,6 +51,22 @@ def run(table: Path, output: Path, suffix: str, console: Console, overwrite: boo
         console.print(text, style="yellow", markup=False)
     for path in paths:
         console.print(f"Saved {path}")
+
+
+def _plots(result: CohortResult, output: Path, console: Console) -> list[Path]:
+    """Draw the plots into a folder, where matplotlib is installed; return their files."""
+    if importlib.util.find_spec("matplotlib") is None:
+        console.print(f"No plot: it needs matplotlib; run {to_install('plot')}", style="yellow", markup=False)
+        return []
+    from myowarp.apps.studies.cohort.assistance import assistance_map, crosses
+
+    paths = [output / PLOT]
+    draw_cohort(result, paths[0])
+    if crosses(result.summary):
+        paths.append(output / ASSISTANCE)
+        with panel.style(9.5):
+            panel.save(assistance_map(result.summary, result.settings), paths[-1], dpi=130)
+    return paths
 
 
 def _between_patients(result: CohortResult) -> Iterator[tuple[str, str]]:

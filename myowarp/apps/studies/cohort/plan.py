@@ -89,5 +89,5 @@ def plan_cohort(
     else:
         acts = Policy(getattr(policy, "__name__", type(policy).__name__), policy)
     population = population_of(table, spec)
-    whole = dataclasses.replace(population.joined(setup, trials), horizon=steps)
+    whole = population.joined(dataclasses.replace(setup, horizon=steps), trials)
     return Plan(whole, population, acts, steps, trials, every)

@@ -23,6 +23,7 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
+from myowarp.definitions.parameter import say_percent
 from myowarp.definitions.registry import check_least
 from myowarp.disk import files_digest, number_in
 from myowarp.motion.draws import Recording, Uncertainty, check_factors
@@ -248,6 +249,8 @@ def _trial(folder: Path, header: list[str], row: list[Any], number: int) -> Tria
             raise ValueError(f"{where}, column {column!r}: is of markers; leave it empty beside joint angles")
     try:
         check_factors(numbers)
+        for what, factor in numbers.items():
+            say_percent(what, factor)
         return Trial(name, files, own, numbers, Uncertainty(**spread))
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None

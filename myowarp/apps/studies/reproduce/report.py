@@ -48,7 +48,7 @@ def write(experiment: Experiment, lab: Lab, findings: Findings) -> None:
             panel.save(figure, lab.folder / name)
     table.save_csv(lab.folder / "table.csv", [merit.as_dict() for merit in findings.merits])
     with in_place(lab.folder / "page.md") as scratch:
-        scratch.write_text(page(experiment, lab, findings))
+        scratch.write_text(page(experiment, lab, findings), encoding="utf-8")
     with in_place(lab.folder / "result.json") as scratch:
         scratch.write_text(json.dumps(plain(as_dict(experiment, lab, findings)), indent=1) + "\n")
 

@@ -101,7 +101,7 @@ def _read(path: Path) -> dict[str, Any]:
     import yaml
 
     try:
-        text = path.read_text()
+        text = path.read_text(encoding="utf-8")
         _check_text(text, f"study {str(path)!r}")
         study = yaml.safe_load(text)
     except FileNotFoundError:
