@@ -395,7 +395,7 @@ def _foot(model: mujoco.MjModel, body: int, feet: Sequence[int]) -> int:
 
 
 def _rows(values: np.ndarray, shard: Shard) -> np.ndarray:
-    """Return the rows of a shard, or the one of all worlds, as the device has them: `Reflexes`, shape (n,)."""
+    """Return the rows of a shard, or the one of all worlds, as the device has them, shape (1 or n,)."""
     kind: Any = Reflexes
     own = shard.scene.worlds.own if len(values) > 1 else slice(1)
     return np.ascontiguousarray(values[own], dtype=float).view(kind.numpy_dtype())[:, 0]
