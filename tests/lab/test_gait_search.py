@@ -10,7 +10,7 @@ from myowarp.apps.studies import gait as study
 from myowarp.apps.studies.gait import Search, Trials, Walks, search
 from myowarp.definitions.setup import Setup
 
-TASK = "myoLegWalk-v0"
+TASK, SUPPORT = "myoLegWalk-v0", "pelvis_support(share=0.5)"
 ROUNDING = 1e-5
 """Of float32: forces of muscles are computed again after a reset, by other kernels."""
 SHORT = Setup(task=TASK, physics="fast", horizon=30, device="cpu", seed=0)
@@ -106,7 +106,10 @@ def test_the_command_goes_on_with_a_broken_search(tmp_path, run):
         assert np.array_equal(*found)
     assert np.ptp(found[0]) > 0.0
     begin = tmp_path / "on"
-    run(*COMMAND, begin, "--begin", whole / study.GAIT, "--generations", "1", "--physics", "fast")
+    words = ("--generations", "1", "--physics", "fast", "--conditions", SUPPORT)
+    _, _, err = run(*COMMAND, begin, "--begin", whole / study.GAIT, *words)
+    assert f", searched with {SUPPORT}\n" in err
+    assert read_gait(begin / study.GAIT).conditions == (SUPPORT,)
     recorded = json.loads((begin / study.SETTINGS).read_text())
     zero, one = np.array(list(SCALES.values())).T
     middle = zero + one * np.array(list(recorded["middle"].values()))

@@ -112,7 +112,7 @@ def draw_line(
 def support(
     # Params:
     root: Root,
-    share: Curve,
+    curve: Curve,
     # Data in:
     qpos_in: wp.array2d[float],
     qvel_in: wp.array2d[float],
@@ -139,7 +139,7 @@ def support(
     up_z = wp.quat_rotate(turn, up)[2]
     spin = wp.quat_rotate(turn, spin)
     roll, yaw = wp.atan2(left_z, up_z), wp.atan2(wp.dot(ahead, across), wp.dot(ahead, along))
-    rate = RATE * value_of(share, clock, worldid, 0)
+    rate = RATE * value_of(curve, clock, worldid, 0)
     force = -rate * root.mass * (RATE * wp.dot(place, across) + wp.dot(velocity, across)) * across
     torque = -rate * root.roll * (RATE * roll + wp.dot(spin, along)) * along
     torque -= rate * root.turn * (RATE * yaw + spin[2]) * up
