@@ -166,8 +166,8 @@ def check_conditions(name: str, gait: Gait, sim: Simulation) -> None:
     """Say once if a gait, called by some name, was searched in other conditions than these worlds have."""
     here = tuple(condition for condition in sim.setup.conditions or () if isinstance(condition, str))
     if gait.conditions != here:
-        there, here = (", ".join(conditions) or "none" for conditions in (gait.conditions, here))
-        warn_once(f"gait {name!r} was searched with conditions {there} and walks with {here}")
+        there, now = (", ".join(conditions) or "none" for conditions in (gait.conditions, here))
+        warn_once(f"gait {name!r} was searched with conditions {there} and walks with {now}")
 
 
 def is_gait(name: str) -> bool:
