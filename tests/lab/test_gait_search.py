@@ -1,6 +1,7 @@
 """A search of reflexes: what a walk costs, and that a broken search goes on as if nothing had happened."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,8 +10,10 @@ from myowarp.apps.policies.reflex import SCALES, Delays, read_gait, unscaled
 from myowarp.apps.studies import gait as study
 from myowarp.apps.studies.gait import Search, Trials, Walks, search
 from myowarp.definitions.setup import Setup
+from myowarp.models.conditions import MotorNoise, PelvisSupport
 
 TASK, SUPPORT = "myoLegWalk-v0", "pelvis_support(share=0.5)"
+HUMAN, EXAMPLES = "myoLegWalkHuman-v0", Path(__file__).parents[2] / "examples"
 ROUNDING = 1e-5
 """Of float32: forces of muscles are computed again after a reset, by other kernels."""
 SHORT = Setup(task=TASK, physics="fast", horizon=30, device="cpu", seed=0)
@@ -48,6 +51,19 @@ def test_who_falls_makes_room_and_nothing_else_changes():
     for name, value in vars(few).items():
         assert value == pytest.approx(vars(all_at_once)[name], rel=ROUNDING), name
         assert np.ptp(value) > 100.0 * ROUNDING * value.max()
+
+
+@pytest.mark.slow
+def test_the_example_walks_with_support():
+    """Ten seconds with noise of three seeds, under the physics of its search; without support it falls."""
+    gait = read_gait(EXAMPLES / "planar_gait.json")
+    assert gait.conditions == ("pelvis_support(share=1)",)
+    conditions = PelvisSupport(np.array([1.0, 1.0, 1.0, 0.0])), MotorNoise(0.05, 0.01)
+    trials = Trials(Setup(task=HUMAN, physics="fast", conditions=conditions, device="cpu"), 4, gait.delays)
+    walks = trials.walk(np.tile(gait.values, (4, 1)), starts=4)
+    assert walks.time[:3] == pytest.approx(10.0)
+    assert walks.speed[:3] == pytest.approx(1.2, abs=0.2)  # m/s, what was wanted
+    assert walks.time[3] < 2.0
 
 
 @pytest.fixture
