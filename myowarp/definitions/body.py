@@ -107,6 +107,7 @@ class Body:
         fatigue_rates: How fast muscles tire and recover, by name.
         load: Center of a load that the hand holds; None where none can.
         exoskeleton: Where an exoskeleton is worn; None where none can.
+        root: Free joint of the trunk of a body that walks; None where none does.
         devices: Joints at which a page offers a device, beside that of an exoskeleton.
         transfer: What a tendon transfer is about; None where there is none.
         torn: Muscles that a tendon tear is about where it names none.
@@ -126,6 +127,7 @@ class Body:
     fatigue_rates: Mapping[str, FatigueRates] = field(default_factory=dict, repr=False)
     load: Place | None = None
     exoskeleton: Brace | None = None
+    root: str | None = None
     devices: tuple[str, ...] = ()
     transfer: Transfer | None = None
     torn: tuple[str, ...] = ()

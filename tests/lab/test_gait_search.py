@@ -1,6 +1,7 @@
 """A search of reflexes: what a walk costs, and that a broken search goes on as if nothing had happened."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,8 +10,12 @@ from myowarp.apps.policies.reflex import SCALES, Delays, read_gait, unscaled
 from myowarp.apps.studies import gait as study
 from myowarp.apps.studies.gait import Search, Trials, Walks, search
 from myowarp.definitions.setup import Setup
+from myowarp.models.conditions import MotorNoise, PelvisSupport
 
-TASK = "myoLegWalk-v0"
+TASK, SUPPORT = "myoLegWalk-v0", "pelvis_support(share=0.5)"
+HUMAN, EXAMPLES = "myoLegWalkHuman-v0", Path(__file__).parents[2] / "examples"
+ROUNDING = 1e-5
+"""Of float32: forces of muscles are computed again after a reset, by other kernels."""
 SHORT = Setup(task=TASK, physics="fast", horizon=30, device="cpu", seed=0)
 
 
@@ -25,16 +30,40 @@ def test_way_and_time_come_before_speed_and_effort():
 
 
 def test_walks_are_measured_up_to_the_fall():
-    trials = Trials(SHORT, 4)
+    trials = Trials(SHORT, 4, Delays())
     values = unscaled(np.tile(np.linspace(0.5, 2.0, 4)[:, None], (1, len(SCALES))))
-    walks = trials.walk(values, Delays())
+    walks = trials.walk(values)
     assert (walks.time > 0.05).all()
     assert (walks.time <= trials.duration + 1e-9).all()
     assert 0.5 < walks.speed[0] < 2.0  # they start at 1.5 m/s
     assert (walks.metabolic_rate > 0.0).all()
-    again = trials.walk(np.repeat(values[:1], 4, axis=0), Delays(), starts=4)
+    again = trials.walk(np.repeat(values[:1], 4, axis=0), starts=4)
     for name, value in vars(again).items():
         assert value == pytest.approx(np.full(4, vars(walks)[name][0]))
+
+
+def test_who_falls_makes_room_and_nothing_else_changes():
+    """Of seven gaits three walk at once, each as when all do; noise is that of the trial's seed."""
+    setup = Setup.of(SHORT, horizon=90, conditions=("motor_noise",))
+    values = unscaled(np.tile(np.linspace(0.4, 2.2, 7)[:, None], (1, len(SCALES))))
+    few, all_at_once = (Trials(setup, number, Delays()).walk(values, starts=3) for number in (3, 7))
+    assert np.ptp(few.time) > 0.1
+    for name, value in vars(few).items():
+        assert value == pytest.approx(vars(all_at_once)[name], rel=ROUNDING), name
+        assert np.ptp(value) > 100.0 * ROUNDING * value.max()
+
+
+@pytest.mark.slow
+def test_the_example_walks_with_support():
+    """Ten seconds with noise of three seeds, under the physics of its search; without support it falls."""
+    gait = read_gait(EXAMPLES / "planar_gait.json")
+    assert gait.conditions == ("pelvis_support(share=1)",)
+    conditions = PelvisSupport(np.array([1.0, 1.0, 1.0, 0.0])), MotorNoise(0.05, 0.01)
+    trials = Trials(Setup(task=HUMAN, physics="fast", conditions=conditions, device="cpu"), 4, gait.delays)
+    walks = trials.walk(np.tile(gait.values, (4, 1)), starts=4)
+    assert walks.time[:3] == pytest.approx(10.0)
+    assert walks.speed[:3] == pytest.approx(1.2, abs=0.2)  # m/s, what was wanted
+    assert walks.time[3] < 2.0
 
 
 @pytest.fixture
@@ -44,10 +73,10 @@ def quick(monkeypatch):
     class Quick:
         duration = 1.0
 
-        def __init__(self, setup, num_worlds):
-            self.tried = 0
+        def __init__(self, setup, num_worlds, delays):
+            pass
 
-        def walk(self, values, delays, starts=1):
+        def walk(self, values, starts=1):
             time = 1.0 / (1.0 + values.var(axis=1))
             return Walks(time, np.full(len(time), 1.2), 0.0 * time, 0.0 * time)
 
@@ -93,7 +122,10 @@ def test_the_command_goes_on_with_a_broken_search(tmp_path, run):
         assert np.array_equal(*found)
     assert np.ptp(found[0]) > 0.0
     begin = tmp_path / "on"
-    run(*COMMAND, begin, "--begin", whole / study.GAIT, "--generations", "1", "--physics", "fast")
+    words = ("--generations", "1", "--physics", "fast", "--conditions", SUPPORT)
+    _, _, err = run(*COMMAND, begin, "--begin", whole / study.GAIT, *words)
+    assert f", searched with {SUPPORT}\n" in err
+    assert read_gait(begin / study.GAIT).conditions == (SUPPORT,)
     recorded = json.loads((begin / study.SETTINGS).read_text())
     zero, one = np.array(list(SCALES.values())).T
     middle = zero + one * np.array(list(recorded["middle"].values()))

@@ -26,6 +26,7 @@ from myowarp.definitions.task import TASKS
 from myowarp.kernels.action import excitation
 from myowarp.laws.reflexes import GROUPS, Phase, Reflexes, Senses, stimulate_legs
 from myowarp.sim.simulation import Simulation
+from myowarp.tasks.setups import complete
 
 RECORD = Path(__file__).parents[1] / "data/reflexes.npz"
 TASK = "myoLegWalk-v0"
@@ -290,6 +291,22 @@ def test_a_gait_file_comes_back_and_acts(tmp_path):
     assert action.shape == (2, sim.scene.num_actions)
     assert action.min() >= -1.0
     assert action.max() > -0.5
+
+
+def test_a_gait_that_was_searched_with_support_says_so(tmp_path, caplog):
+    support = "pelvis_support(share=1)"
+    for searched, conditions, said in (
+        ([support], (), f"was searched with conditions {support} and walks with none"),
+        ([], (support,), f"was searched with conditions none and walks with {support}"),
+        ([support], (support,), ""),
+    ):
+        caplog.clear()
+        path = tmp_path / f"{len(searched)}{len(conditions)}.json"
+        gait_of(ONES, Delays(), {"search": {"conditions": searched}}).save(path)
+        setup = complete(Setup(task=TASK, device="cpu", conditions=conditions))
+        acting(find_policy(str(path), setup.spec), Simulation(setup, 1, graph=False))
+        assert caplog.text.count("was searched") == bool(said)
+        assert said in caplog.text
 
 
 @pytest.mark.parametrize(

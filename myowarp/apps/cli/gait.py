@@ -19,11 +19,12 @@ class GaitCommand:
 
     Geyer and Herr's reflexes, with their delays, excite the muscles of both legs. Staying up comes first,
     then speed, then the metabolic rate. Writes the best so far as gait.json, a policy; the same command goes
-    on with a search that was broken off, and to more --generations.
+    on with a search that was broken off, and to more --generations. Begin in a plane, with support of the
+    pelvis, and go on with less of it from the gait that was found (--begin).
 
-    Example: myowarp gait myoLegWalkHuman-v0 --physics fast --output out/gait
+    Example: myowarp gait myoLegWalkHuman-v0 --physics fast --conditions 'pelvis_support(share=1)'
 
-    Then: myowarp rollout myoLegWalkHuman-v0 --policy out/gait/gait.json --video walk.mp4
+    Then: myowarp record myoLegWalkHuman-v0 --policy out/gait/gait.json --beside 'pelvis_support(share=1)'
     """
 
     asked: Environment
@@ -58,4 +59,5 @@ class GaitCommand:
         plan = Search(self.asked.setup, **sizes, begin=begin, delays=begin.delays if begin else Delays())
         console = Console(stderr=True, highlight=False, soft_wrap=True)
         gait = search(plan, self.output, self.generations, console)
-        console.print(f"Saved {self.output / GAIT}, cost {gait.provenance['cost']:.2f}")
+        held = f", searched with {', '.join(gait.conditions)}" if gait.conditions else ""
+        console.print(f"Saved {self.output / GAIT}, cost {gait.provenance['cost']:.2f}{held}", markup=False)

@@ -16,7 +16,7 @@ from myowarp.apps.policies.checkpoint import Checkpoint
 from myowarp.apps.policies.hold import Hold, check_hold
 from myowarp.apps.policies.learned import Act, Bound, begins, read_policy
 from myowarp.apps.policies.muscle_control import MuscleControl, check_muscle_control
-from myowarp.apps.policies.reflex import Gait, ReflexControl, is_gait, read_gait
+from myowarp.apps.policies.reflex import Gait, ReflexControl, check_conditions, is_gait, read_gait
 from myowarp.apps.policies.replay import Replay, is_replay
 from myowarp.definitions.registry import did_you_mean
 from myowarp.definitions.task import TaskSpec
@@ -115,6 +115,7 @@ def acting(policy: Policy, sim: Simulation) -> Act:
     if policy.excitations is not None:
         return Replay(policy.name, policy.excitations, sim)
     if policy.gait is not None:
+        check_conditions(policy.name, policy.gait, sim)
         return ReflexControl(policy.gait.values[None], policy.gait.delays, sim)
     if act is not None:
         remembers = "begins" in _parameters(act)

@@ -25,9 +25,12 @@ import numpy as np
 import warp as wp
 
 from myowarp.disk import in_place
+from myowarp.engine.compile import compile_kernels, quiet
+from myowarp.engine.graph import Graph
 from myowarp.kernels.action import action_of
 from myowarp.kernels.launch import launch
 from myowarp.laws.reflexes import GROUPS, Phase, Reflexes, Senses, real, stimulate_legs
+from myowarp.process import warn_once
 
 if TYPE_CHECKING:
     from myowarp.sim.shard import Shard
@@ -137,6 +140,12 @@ class Gait:
         """Parameters in the order of `SCALES`, shape (48,)."""
         return np.array([self.parameters[name] for name in SCALES])
 
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        """Conditions of the worlds in which it was searched, such as the support of the pelvis."""
+        search = self.provenance.get("search")
+        return tuple(search.get("conditions", ())) if isinstance(search, dict) else ()
+
     def save(self, path: Path) -> None:
         """Write it as JSON.
 
@@ -151,6 +160,14 @@ class Gait:
 def gait_of(scaled: np.ndarray, delays: Delays, provenance: Mapping[str, Any]) -> Gait:
     """Return a gait with scaled parameters, shape (48,)."""
     return Gait(dict(zip(SCALES, unscaled(scaled).tolist(), strict=True)), delays, provenance)
+
+
+def check_conditions(name: str, gait: Gait, sim: Simulation) -> None:
+    """Say once if a gait, called by some name, was searched in other conditions than these worlds have."""
+    here = tuple(condition for condition in sim.setup.conditions or () if isinstance(condition, str))
+    if gait.conditions != here:
+        there, now = (", ".join(conditions) or "none" for conditions in (gait.conditions, here))
+        warn_once(f"gait {name!r} was searched with conditions {there} and walks with {now}")
 
 
 def is_gait(name: str) -> bool:
@@ -302,8 +319,8 @@ def sense_legs(
 class _Legs:
     """The senses of a shard's worlds; attributes are arguments of the kernels above."""
 
-    def __init__(self, shard: Shard, lag: tuple[int, int, int]) -> None:
-        """Find joints, muscles and feet.
+    def __init__(self, shard: Shard, lag: tuple[int, int, int], reflexes: wp.array) -> None:
+        """Find joints, muscles and feet, and record the launches.
 
         Raises:
             ValueError: The body has no two such legs under a free root.
@@ -339,10 +356,17 @@ class _Legs:
         self.senses = wp.zeros((self.num_worlds, max(lag) + 1), dtype=Senses)
         self.phase = wp.zeros((self.num_worlds, 2), dtype=Phase)
         self.stimulation = wp.zeros((self.num_worlds, 2, len(GROUPS)), dtype=real)
-        self.lag = wp.vec3i(*lag)
+        self.lag, self.reflexes = wp.vec3i(*lag), reflexes
+        compile_kernels(self._launch, scene.device)
+        self._graph = Graph(self._launch, scene.device)
 
-    def stimulate(self, reflexes: wp.array) -> np.ndarray:
+    def stimulate(self) -> np.ndarray:
         """Return what the groups of both legs are told now, shape (num_worlds, 2, 13)."""
+        self._graph.launch()
+        return np.asarray(self.stimulation.numpy())
+
+    def _launch(self) -> None:
+        """Weigh, sense, and stimulate."""
         shard, data = self.shard, self.shard.scene.data
         self.load.zero_()
         launch(
@@ -358,8 +382,7 @@ class _Legs:
             efc_force=data.efc.force,
         )
         launch(sense_legs, self.num_worlds, self, data, shard.scene.muscles, shard.episode)
-        launch(stimulate_legs, (self.num_worlds, 2), self, shard.episode, reflexes=reflexes)
-        return np.asarray(self.stimulation.numpy())
+        launch(stimulate_legs, (self.num_worlds, 2), self, shard.episode)
 
 
 def _foot(model: mujoco.MjModel, body: int, feet: Sequence[int]) -> int:
@@ -369,6 +392,13 @@ def _foot(model: mujoco.MjModel, body: int, feet: Sequence[int]) -> int:
             return feet.index(body)
         body = int(model.body_parentid[body])
     return -1
+
+
+def _rows(values: np.ndarray, shard: Shard) -> np.ndarray:
+    """Return the rows of a shard, or the one of all worlds, as the device has them, shape (1 or n,)."""
+    kind: Any = Reflexes
+    own = shard.scene.worlds.own if len(values) > 1 else slice(1)
+    return np.ascontiguousarray(values[own], dtype=float).view(kind.numpy_dtype())[:, 0]
 
 
 class ReflexControl:
@@ -394,32 +424,35 @@ class ReflexControl:
                 f"gaits must have shape (1 or {sim.num_worlds}, {len(SCALES)}), got {values.shape}"
             )
         self._sim, scene = sim, sim.scene
-        kind: Any = Reflexes
-        rows = np.ascontiguousarray(values, dtype=float).view(kind.numpy_dtype())[:, 0]
-        owns = [shard.scene.worlds.own if len(rows) > 1 else slice(1) for shard in sim.shards]
-        with wp.ScopedDevice(scene.device):
-            self.legs = [_Legs(shard, delays.steps(scene.control_dt)) for shard in sim.shards]
-            self._reflexes = [wp.array(rows[own], dtype=Reflexes) for own in owns]
+        lag = delays.steps(scene.control_dt)
+        with quiet(), wp.ScopedDevice(scene.device):
+            self.legs = [
+                _Legs(shard, lag, wp.array(_rows(values, shard), dtype=Reflexes)) for shard in sim.shards
+            ]
         place = {
-            f"{muscle}_{side}": (leg, group)
+            f"{muscle}_{side}": leg * len(GROUPS) + group
             for leg, side in enumerate(SIDES)
             for group, name in enumerate(GROUPS)
             for muscle in MUSCLES[name].split()
         }
-        self._told = [m for m, name in enumerate(scene.muscles.names) if name in place]
-        self._leg, self._group = np.array([place[scene.muscles.names[m]] for m in self._told]).T
+        names, muscles = scene.muscles.names, scene.muscles.actuator_id
+        told = [m for m, name in enumerate(names) if name in place]
+        self._group = np.array([place[names[m]] for m in told])
+        self._actuator, self._linear = muscles[told], scene.spec.linear_excitation
+        self._rest = np.zeros((sim.num_worlds, scene.num_actions), dtype=np.float32)
+        self._rest[:, muscles] = action_of(np.zeros(len(muscles)), self._linear)
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
         """Return actions (num_worlds, num_actions) of the step that comes; motors do nothing."""
-        scene, muscles = self._sim.scene, self._sim.scene.muscles
-        with wp.ScopedDevice(scene.device):
-            pairs = zip(self.legs, self._reflexes, strict=True)
-            told = np.concatenate([legs.stimulate(reflexes) for legs, reflexes in pairs])
-        excitation = np.zeros((len(told), len(muscles.names)))
-        excitation[:, self._told] = told[:, self._leg, self._group]
-        action = np.zeros((len(told), scene.num_actions), dtype=np.float32)
-        action[:, muscles.actuator_id] = action_of(excitation, scene.spec.linear_excitation)
+        told = np.concatenate([legs.stimulate() for legs in self.legs]).reshape(self._sim.num_worlds, -1)
+        action = self._rest.copy()
+        action[:, self._actuator] = action_of(told[:, self._group], self._linear)
         return action
+
+    def change(self, values: np.ndarray) -> None:
+        """Give all worlds other parameters, of the shape of those that there are."""
+        for legs in self.legs:
+            legs.reflexes.assign(_rows(values, legs.shard))
 
     def copy(self, source: int, target: int) -> None:
         """Let a world have felt what another one of its shard has, and be in its phase."""

@@ -20,6 +20,7 @@ the terms, staying up before speed before effort, is that of Song, Geyer (2015),
 from __future__ import annotations
 
 import json
+from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -29,14 +30,14 @@ from rich.console import Console
 
 from myowarp.apps.policies.checkpoint import versions
 from myowarp.apps.policies.reflex import SCALES, Delays, Gait, ReflexControl, gait_of, unscaled
-from myowarp.apps.rollouts.run import Step, Watcher, run
+from myowarp.apps.rollouts.run import Step, stepped
 from myowarp.definitions.body import POINT_JOINTS
 from myowarp.definitions.setup import DEFAULTS, Setup
 from myowarp.disk import in_place, make_folder
 from myowarp.extras import to_install
 from myowarp.laws.metabolics import BASAL_RATE
 from myowarp.progress import progress_bar
-from myowarp.sim.economy import Economy
+from myowarp.sim.build import resolve_device
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.setups import complete
@@ -109,29 +110,31 @@ class Walks:
         return FALL * (1.0 - share) + share**2 * (SPEED * np.abs(relative - 1.0) + effort)
 
 
-class _Walking(Watcher):
-    """Looks at an episode of every world, up to its end.
+class _Walking:
+    """Looks at the present episode of every world, up to its end.
 
     Attributes:
         alive: Worlds whose episode goes on, shape (num_worlds,) bool.
     """
 
-    alive: np.ndarray
-
     def __init__(self, sim: Simulation, signals: Signals) -> None:
-        self._sim, self._signals, model = sim, signals, sim.scene.oracle
+        self._signals, self._dt, model = signals, sim.scene.control_dt, sim.scene.oracle
         hinges = np.flatnonzero(np.isin(model.jnt_type, POINT_JOINTS) & model.jnt_limited.astype(bool))
         self._address, self._range = model.jnt_qposadr[hinges], model.jnt_range[hinges].T
+        self.alive = np.zeros(sim.num_worlds, dtype=bool)
+        self._ahead, self._place = np.zeros((2, sim.num_worlds, 2))
+        self._steps, self._way, self._spent, self._beyond = np.zeros((4, sim.num_worlds))
 
     def start(self, mask: np.ndarray) -> None:
-        """Remember where they stand, and which way they look."""
+        """Remember where worlds stand that begin, (num_worlds,) bool, and which way they look."""
         qpos = self._signals.qpos.numpy()
-        w, x, y, z = qpos[:, 3:7].T
+        w, x, y, z = qpos[:, 3:7].T.astype(float)
         ahead = np.stack([w * w + x * x - y * y - z * z, 2.0 * (x * y + w * z)], axis=1)
-        self._ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
-        self._place, self._economy = qpos[:, :2].copy(), Economy(self._sim, self._signals)
-        self.alive = mask.copy()
-        self._steps, self._way, self._beyond = np.zeros((3, len(qpos)))
+        self._ahead[mask] = (ahead / np.linalg.norm(ahead, axis=1, keepdims=True))[mask]
+        self._place[mask] = qpos[mask, :2]
+        self.alive |= mask
+        for total in (self._steps, self._way, self._spent, self._beyond):
+            total[mask] = 0.0
 
     def see(self, step: Step) -> None:
         """Add a step of the worlds that are up."""
@@ -140,54 +143,71 @@ class _Walking(Watcher):
         angles = qpos[:, self._address]
         beyond = np.maximum(self._range[0] - angles, angles - self._range[1]).clip(0.0).sum(axis=1)
         way = ((qpos[:, :2] - self._place) * self._ahead).sum(axis=1)
-        self._economy.see(alive)
+        rate = self._signals.whole_body["bhargava2004_per_kg"].numpy() - BASAL_RATE
         self._steps += alive
         self._way[alive] = way[alive]
+        self._spent[alive] += rate[alive]
         self._beyond[alive] += beyond[alive]
         self.alive &= ~step.ended
 
-    def walks(self) -> Walks:
-        """Return the figures of their walks."""
-        steps, dt = self._steps.clip(1.0), self._sim.scene.control_dt
-        rate = self._economy.means()["bhargava2004_per_kg"] - BASAL_RATE
-        return Walks(self._steps * dt, self._way / (steps * dt), rate, self._beyond / steps)
+    def figures(self) -> np.ndarray:
+        """Return the figures of `Walks`, shape (4, num_worlds)."""
+        steps, dt = self._steps.clip(1.0), self._dt
+        return np.stack(
+            [self._steps * dt, self._way / (steps * dt), self._spent / steps, self._beyond / steps]
+        )
 
 
 class Trials:
-    """Worlds in which gaits are tried.
+    """Worlds in which gaits are tried; who falls makes room for the next.
 
     Attributes:
         sim: The worlds.
         duration: Of an episode that no fall ends [s].
     """
 
-    def __init__(self, setup: Setup, num_worlds: int) -> None:
+    def __init__(self, setup: Setup, num_worlds: int, delays: Delays) -> None:
         """Build them.
 
+        Args:
+            setup: What they are.
+            num_worlds: Gaits that walk at once, which changes the results by rounding alone.
+            delays: Of the nerves.
+
         Raises:
-            ValueError: The setup is wrong.
+            ValueError: The setup is wrong, or the body has no two legs.
         """
         self.sim = Simulation(complete(setup), num_worlds, autoreset="disabled")
-        self._signals = Signals(self.sim)
+        self._signals, self._values = Signals(self.sim), np.ones((num_worlds, len(SCALES)))
+        self._control = ReflexControl(self._values, delays, self.sim)
         self.duration = self.sim.horizon * self.sim.scene.control_dt
 
-    def walk(self, values: np.ndarray, delays: Delays, starts: int = 1) -> Walks:
-        """Let gaits walk until all have fallen, or to the horizon.
+    def walk(self, values: np.ndarray, starts: int = 1) -> Walks:
+        """Let gaits walk, each until it falls, or to the horizon.
 
         Args:
-            values: Parameters, shape (1 or num_worlds, 48).
-            delays: Of the nerves.
-            starts: Worlds in a row that have the seeds from that of the setup on.
-
-        Raises:
-            ValueError: The body has no two legs.
+            values: Parameters, shape (n, 48).
+            starts: Gaits in a row that have the seeds from that of the setup on.
         """
-        watcher, control = _Walking(self.sim, self._signals), ReflexControl(values, delays, self.sim)
-        first = self.sim.setup.seed or 0
-        seeds = np.array([first + i % starts for i in range(self.sim.num_worlds)], dtype=object)
-        ended = {"again": False, "until": lambda: not watcher.alive.any()}
-        run(self.sim, control, self.sim.horizon, watcher, seeds=seeds, **ended)  # type: ignore[arg-type]
-        return watcher.walks()
+        watcher, found = _Walking(self.sim, self._signals), np.zeros((4, len(values)))
+        first, waiting = self.sim.setup.seed or 0, deque(range(len(values)))
+        trial = np.full(self.sim.num_worlds, -1)  # of each world; -1: none
+        steps = stepped(self.sim, self._control)
+        while True:
+            free = ~watcher.alive
+            done = free & (trial >= 0)
+            found[:, trial[done]] = watcher.figures()[:, done]
+            trial[free] = -1
+            for world in np.flatnonzero(free)[: len(waiting)]:
+                trial[world] = waiting.popleft()
+            if (begins := free & (trial >= 0)).any():
+                self._values[begins] = values[trial[begins]]
+                self._control.change(self._values)
+                self.sim.reset(begins, np.array([first + number % starts for number in trial], dtype=object))
+                watcher.start(begins)
+            if not watcher.alive.any():
+                return Walks(*found)
+            watcher.see(next(steps))
 
 
 def search(plan: Search, output: Path, generations: int, console: Console) -> Gait:
@@ -222,12 +242,12 @@ def search(plan: Search, output: Path, generations: int, console: Console) -> Ga
         strategy.tell(list(told), cost.tolist())
     gait = _best(plan, solutions, costs)
     if len(costs) < generations:
-        trials = Trials(plan.setup, plan.population * plan.starts)
+        trials = Trials(plan.setup, _at_once(plan), plan.delays)
         with progress_bar("Searching", "generations, {task.fields[best]}", console) as bar:
             task = bar.add_task("", total=generations, completed=len(costs), best="")
             while len(costs) < generations:
                 asked = np.array(strategy.ask())
-                walks = trials.walk(unscaled(np.repeat(asked, plan.starts, 0)), plan.delays, plan.starts)
+                walks = trials.walk(unscaled(np.repeat(asked, plan.starts, 0)), plan.starts)
                 cost = walks.cost(plan.speed, trials.duration).reshape(-1, plan.starts).mean(axis=1)
                 strategy.tell(list(asked), cost.tolist())
                 solutions, costs = [*solutions, asked], [*costs, cost]
@@ -236,6 +256,12 @@ def search(plan: Search, output: Path, generations: int, console: Console) -> Ga
                 longest = walks.time.reshape(-1, plan.starts).mean(axis=1).max()
                 bar.update(task, advance=1, best=f"cost {np.min(costs):.1f}, {longest:.1f} s up")
     return gait
+
+
+def _at_once(plan: Search) -> int:
+    """Return how many gaits walk at once: all on a GPU, a quarter on cores, for which those that lie cost."""
+    number = plan.population * plan.starts
+    return -(-number // 4) if resolve_device(plan.setup.device).is_cpu else number
 
 
 def _best(plan: Search, solutions: list[np.ndarray], costs: list[np.ndarray]) -> Gait:

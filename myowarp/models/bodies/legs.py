@@ -47,6 +47,7 @@ BODIES.add(
         groups=GROUPS,
         fatigue_rates=FATIGUE_RATES,
         large=True,
+        root="root",
         devices=tuple(f"{joint}_{side}" for joint in DEVICES for side in "rl"),
     ),
 )
