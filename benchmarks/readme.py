@@ -23,7 +23,7 @@ HARD = {
     "myoHandPoseRandom-v1": "hand pose (`-v1`)",
     "myoHandKeyTurnRandom-v0": "key turn",
 }
-MARKS = {"*": "one seed", "–": "not counted"}
+MARKS = {"*": "strictly of one seed, which may exceed the mean", "–": "not counted"}
 LEARNED = 95.0  # percent of the episodes
 ALIKE = 1e-5
 
