@@ -24,6 +24,7 @@ pd = pytest.importorskip("pandas")
 pytest.importorskip("pyarrow")
 
 from myowarp.apps.studies.cohort import run, run_cohort  # noqa: E402
+from myowarp.apps.studies.cohort.job import repeated  # noqa: E402
 from myowarp.apps.studies.parts import LOCK  # noqa: E402
 
 ELBOW, HAND, REACH = "myoElbowPose1D6MRandom-v0", "myoHandPoseRandom-v1", "myoHandReachFixed-v0"
@@ -310,6 +311,16 @@ def test_a_task_without_an_error():
 def command(run):
     """Run `myowarp cohort`; see `run` in conftest."""
     return partial(run, "cohort")
+
+
+def test_trials_that_are_one_are_said(five):
+    """A return of one trial apart from the other is enough, of any patient."""
+    assert repeated(five.summary) == ""
+    twice = five.summary[five.summary["trial"] == 0]
+    twice = pd.concat([twice, twice.assign(trial=1)])
+    assert "one tells as much" in repeated(twice)
+    other = twice.assign(**{"return": [*twice["return"][:-1], 0.0]})
+    assert repeated(other) == repeated(twice[twice["trial"] == 0]) == ""
 
 
 def test_command(command, five, tmp_path):

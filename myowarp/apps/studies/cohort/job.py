@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.table import Table
@@ -21,6 +21,9 @@ from myowarp.disk import check_folder, check_overwrite, locked, make_folder
 from myowarp.extras import to_install
 from myowarp.sim.economy import UNITS as ECONOMY
 from myowarp.sim.economy import doubt, heading
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 PLOT, ASSISTANCE = "plot.png", "assistance.png"
 
@@ -44,6 +47,7 @@ def run(table: Path, output: Path, suffix: str, console: Console, overwrite: boo
     Console().print(figures(result))
     summary = result.summary
     said = (
+        repeated(summary),
         passing(summary["success"].mean(), summary["success_last"].mean()),
         doubt({**summary.filter(ECONOMY).max(), "body_mass": result.settings["body_mass"]}),
     )
@@ -67,6 +71,14 @@ def _plots(result: CohortResult, output: Path, console: Console) -> list[Path]:
         with panel.style(9.5):
             panel.save(assistance_map(result.summary, result.settings), paths[-1], dpi=130)
     return paths
+
+
+def repeated(summary: pd.DataFrame) -> str:
+    """Return a sentence where the trials of each patient are one and the same, else ""."""
+    trials = summary.groupby("patient", observed=True)["return"]
+    if summary["trial"].nunique() < 2 or (trials.nunique(dropna=False) > 1).any():
+        return ""
+    return "all trials of a patient are the same: task, policy and patient draw nothing; one tells as much"
 
 
 def _between_patients(result: CohortResult) -> Iterator[tuple[str, str]]:
