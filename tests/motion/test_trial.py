@@ -134,7 +134,7 @@ def test_weak_reserves_hold_what_muscles_cannot(gait, capsys):
     assert "muscles cannot hold" not in said
     k = joints[int(lacks.argmax())]
     share = 100.0 * np.abs(given.values[:, k]).max() / greatest[k]
-    assert f" at most, {share:.2g} % of the greatest moment there" in said
+    assert f" at most, {share:.2g} % of the greatest moment there\n" in said
 
 
 def test_kinematics(tmp_path, capsys):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -83,6 +83,13 @@ def _unit(bones: Bones, number: int) -> str:
     return "N m" if bones.model.coordinates[bones.coordinates[number]].rotational else "N"
 
 
+def _greatest(bones: Bones, most: np.ndarray) -> Iterator[tuple[int, str]]:
+    """Yield the joints' coordinates that have most of something, and how much that is, the greatest first."""
+    joints = at_joints(bones)
+    for k in [k for k in most.argsort()[::-1] if joints[k]][:SHOWN]:
+        yield k, f"at {bones.coordinates[k]}: {most[k]:.3g} {_unit(bones, k)} at most"
+
+
 def at_joints(bones: Bones) -> np.ndarray:
     """Return which coordinates carry no model through space; what acts along the others is a residual."""
     from myowarp.osim.document.kinematics import floating
@@ -135,16 +142,11 @@ class Lacking:
                 f"muscles cannot hold {self.missed} of {self.frames} frames; missing.sto has what is left, "
                 "--reserve 1 lets reserves give it"
             )
-        joints = at_joints(self.bones)
         for name, most in self.most.items():
-            for k in [k for k in most.argsort()[::-1] if joints[k]][:SHOWN]:
+            for k, amount in _greatest(self.bones, most):
                 if most[k] > 1e-3:
-                    share = (
-                        f"{100.0 * most[k] / max(self.moment[k], 1e-9):.2g} % of the greatest moment there"
-                    )
-                    at = f"{name} at {self.bones.coordinates[k]}"
-                    amount = f"{most[k]:.3g} {_unit(self.bones, k)} at most"
-                    lines.append(f"{at}: {amount}, {share} of the greatest moment there")
+                    share = f"{100.0 * most[k] / max(self.moment[k], 1e-9):.2g} %"
+                    lines.append(f"{name} {amount}, {share} of the greatest moment there")
         full = self.full.most_common(SHOWN)
         return lines + [f"{muscle} is fully active in {n} of {self.frames} frames" for muscle, n in full]
 
@@ -157,8 +159,5 @@ def of_tracking(found: TrackedMotion) -> list[str]:
     for k in shown.argsort()[::-1][:SHOWN]:
         lines.append(f"{bones.coordinates[k]}: {shown[k]:.2f} {'°' if turns[k] else 'cm'} rms off the motion")
     lines += found.residuals.lines()
-    joints = at_joints(bones)
     most = abs(found.tracked.reserve[:, 0]).max(axis=0)
-    for k in [k for k in most.argsort()[::-1] if joints[k]][:SHOWN]:
-        lines.append(f"reserve at {bones.coordinates[k]}: {most[k]:.3g} {_unit(bones, k)} at most")
-    return lines
+    return lines + [f"reserve {amount}" for _, amount in _greatest(bones, most)]
