@@ -31,7 +31,6 @@ from myowarp.models.conditions.added_mass import HEAVIEST
 T = TypeVar("T")
 
 INF = math.inf
-TEAR_TIME = "tear_time"
 
 
 Span = tuple[float, float]
@@ -67,7 +66,7 @@ class CohortColumn:
             condition has it.
         changes: Whether it may change within an episode.
         draws: Whether it may be drawn.
-        of: Column whose entry it belongs to: where that one is empty, this one may be, too.
+        of: Column that says what happens where this one says when [s]: if that one is empty, this one may be.
     """
 
     condition: str
@@ -216,7 +215,7 @@ def _columns() -> Registry[CohortColumn]:
         "tendon_transfer": Switch("tendon_transfer", "affected", "Tendon transfer"),
         "reafferentation": Switch("reafferentation", "affected", "Reafferentation"),
         "tendon_tear": TornMuscles("tendon_tear", "muscles", "Torn tendon"),
-        TEAR_TIME: CohortColumn(
+        "tear_time": CohortColumn(
             "tendon_tear", "time", "Time of the tear", "s", changes=False, of="tendon_tear"
         ),
         "exo_assistance": Share(
@@ -246,9 +245,9 @@ Entries = Mapping[str, Sequence[Any]]
 
 def acting_from(entries: Entries, name: str) -> list[float]:
     """Return when each entry of a column begins to act, at the earliest [s of the episode]."""
-    if name != TEAR_TIME:
+    if not (owner := COLUMNS[name].of):
         return [entry.onset[0] if isinstance(entry, Course) else 0.0 for entry in entries[name]]
-    torn = zip(entries[name], entries["tendon_tear"], strict=True)
+    torn = zip(entries[name], entries[owner], strict=True)
     return [
         (time.start[0] if isinstance(time, Course) else time) if muscles else 0.0 for time, muscles in torn
     ]
@@ -298,7 +297,7 @@ def _tear(values: Entries) -> dict[str, Any]:
     The time is that of a change of what is transmitted: whoever is told the parameters sees the tear come.
     """
     if "muscles" not in values:
-        raise ValueError(f"cohort column {TEAR_TIME}: it needs column tendon_tear, which says what tears")
+        raise ValueError("cohort column tear_time: it needs column tendon_tear, which says what tears")
     torn = sorted({muscle for muscles in values["muscles"] for muscle in muscles})
     left = np.array([[float(muscle not in muscles) for muscle in torn] for muscles in values["muscles"]])
     transmission: Value = left

@@ -154,8 +154,12 @@ class Record:
 
         trial = self.recording
         assert trial.motion is not None
-        wrong: dict[str, Any] = {"worlds": self.worlds != 1, "beside": self.beside, "camera": self.camera}
-        wrong["beside-policy"] = self.beside_policy is not None
+        wrong = {
+            "worlds": self.worlds != 1,
+            "beside": self.beside,
+            "beside-policy": self.beside_policy is not None,
+            "camera": self.camera,
+        }
         for name, given in wrong.items():
             if given:
                 raise ValueError(f"--{name} belongs to a policy that acts; leave it out beside --motion")

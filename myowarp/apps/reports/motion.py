@@ -148,8 +148,7 @@ def page(folder: Path, model: Model, motion: Path | None = None) -> str:
         findings += _bearing(tables[REACTIONS.file], model)
     root = [f"{name}_{kind}" for name in floating(model) for kind in ("moment", "force")]
     if MISSING.file in tables:
-        missing = tables[MISSING.file]
-        findings += _holding(among(missing, set(missing.labels) - set(root)))
+        findings += _holding(without(tables[MISSING.file], root))
     if ACTIVATIONS.file in tables:
         findings += _full(tables[ACTIVATIONS.file])
     if MARKERS.file in tables:
@@ -160,7 +159,7 @@ def page(folder: Path, model: Model, motion: Path | None = None) -> str:
     if MOMENTS.file in tables and (held := among(tables[MOMENTS.file], root)).labels:
         shown.append((ROOT, held))
         findings.append(_residual(held))
-        tables[MOMENTS.file] = among(tables[MOMENTS.file], set(tables[MOMENTS.file].labels) - set(root))
+        tables[MOMENTS.file] = without(tables[MOMENTS.file], root)
     shown += [(part, tables[part.file]) for part in PARTS if part.file in tables]
     for part, table in shown:
         if part.file in (MISSING.file, RESERVES.file):
@@ -202,6 +201,11 @@ def among(table: Storage, labels: Sequence[str] | set[str]) -> Storage:
     """Return the columns with these labels, in their order in the table."""
     kept = [number for number, label in enumerate(table.labels) if label in labels]
     return Storage(tuple(table.labels[k] for k in kept), table.time, table.values[:, kept], table.in_degrees)
+
+
+def without(table: Storage, labels: Sequence[str]) -> Storage:
+    """Return the columns that have none of these labels."""
+    return among(table, set(table.labels) - set(labels))
 
 
 def name_sides(figure: Figure, labels: Iterable[str], ink: str | None = None) -> None:

@@ -127,7 +127,7 @@ def findings(found: Mapping[Case, list[dict[str, np.ndarray]]]) -> Findings:
     lines: list[str] = []
     holds: dict[str, bool | None] = {f"{_short(case)}_{name}": None for case in CASES for name in CLAIMED}
     for (task, change), runs in found.items():
-        case = f"{task}, {change}"
+        case, short = f"{task}, {change}", _short((task, change))
         falls = np.array([own["falls"] for own in runs])  # (seeds, policies, 3)
         after = np.array([own["shares"].mean(axis=1) for own in runs])  # (seeds, policies)
         for p, name in enumerate((BASELINE, *KINDS)):
@@ -144,11 +144,10 @@ def findings(found: Mapping[Case, list[dict[str, np.ndarray]]]) -> Findings:
             what, said = f"gain of {name} over {over}", f"each seed, with its interval over episodes: {note}"
             rows.append(Merit(what, "%", case, means, note=said))
             claim = "trained" if name == BLIND else name
-            holds[f"{_short((task, change))}_{claim}"] = all(low > 0.0 for _, low, _ in gains)
+            holds[f"{short}_{claim}"] = all(low > 0.0 for _, low, _ in gains)
             lines.append(f"* {case}: {name} {np.mean(means):+.2f} points over {over} ({note}).")
         told, memory = (1 + list(KINDS).index(name) for name in (TOLD, MEMORY))
-        kept = bool((after[:, memory] >= KEPT * after[:, told]).all())
-        holds[f"{_short((task, change))}_kept"] = kept
+        holds[f"{short}_kept"] = bool((after[:, memory] >= KEPT * after[:, told]).all())
     episodes = next(iter(found.values()))[0]["shares"].shape[1]
     seeds = ", ".join(f"{len(runs)} of {task} ({change})" for (task, change), runs in found.items())
     measured = {"lines": "\n".join(lines), "episodes": episodes, "seeds": seeds}
