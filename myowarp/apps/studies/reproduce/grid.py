@@ -42,7 +42,7 @@ def training(cell: PaperTask) -> Training | None:
     if cell.family not in TRAINED or cell.condition != NONE or cell.reset == FIXED:
         return None
     name = f"grid_{cell.family}_{cell.difficulty}_{cell.reset}"
-    settings = ENDING | {"reset": cell.reset, "parent": None}
+    settings = ENDING | {"reset": cell.reset, "parent": ""}
     return Training(name, cell.task, samples=SAMPLES, settings=settings)
 
 
