@@ -52,7 +52,7 @@ def test_ranks_act_differently_and_learn_the_same(ranks):
         np.testing.assert_array_equal(one[name], other[name], err_msg=name)
     assert not np.isclose(*(rank["actions"] for rank in ranks)).any()
     samples = rank_work.ITERATIONS * 8 * 16
-    assert one["learned.normaliser.count"] == 1 + samples
+    np.testing.assert_array_equal(one["learned.normaliser.count"], 1 + samples)
     assert ranks[0]["figures"][-1] == 8  # episodes, of both
 
 

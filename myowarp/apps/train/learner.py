@@ -128,10 +128,9 @@ class Learner(nn.Module):
                 theirs[:, torch.from_numpy(np.append(places, remembered))] = given.to(theirs)
             own[name] = theirs
         self.policy.load_state_dict(own)
-        moments = self.normaliser.state_dict() | {"count": torch.tensor(count)}
-        for name, values in {"mean": mean, "variance": variance}.items():
-            moments[name][places] = tensor(values).to(moments[name])
-        self.normaliser.load_state_dict(moments)
+        for name, values in {"mean": mean, "variance": variance, "count": np.full(len(mean), count)}.items():
+            moments = getattr(self.normaliser, name)
+            moments[places] = tensor(values).to(moments)
 
     def follow(self, keep: float) -> None:
         """Take the policy into its average, w <- keep w + (1 - keep) policy; at first they are the same."""
@@ -170,7 +169,10 @@ class Learner(nn.Module):
             KeyError: An array is missing.
             RuntimeError: An array has another shape.
         """
-        self.load_state_dict({name: tensor(arrays[name]) for name in self.state_dict()})
+        own = {name: tensor(arrays[name]) for name in self.state_dict()}
+        # Runs of before have one count of all columns.
+        own["normaliser.count"] = own["normaliser.count"].expand_as(self.normaliser.count)
+        self.load_state_dict(own)
         for name, optimizer in self.optimizers.items():
             states: dict[int, dict[str, torch.Tensor]] = {}
             for key, value in below(arrays, f"optimizer.{name}.").items():

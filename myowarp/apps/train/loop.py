@@ -84,8 +84,7 @@ class Run:
             blocks = (env.sim.blocks[name] for name, *_ in parent.manifest["contract"]["columns"])
             places = np.concatenate([np.arange(block.start, block.stop) for block in blocks])
             seen, same = parent.manifest["samples"], parent.task == env.sim.scene.spec.key
-            known = settings.num_worlds * INHERITED_STEPS
-            known = seen if same and len(places) == self.worlds.num_obs else known
+            known = seen if same else settings.num_worlds * INHERITED_STEPS
             self.learner.inherit(parent.policy, seen, settings.parent_samples or known, places)
         self.learner.follow(settings.average)
         if not ranks.leads:  # one policy, but actions of its own

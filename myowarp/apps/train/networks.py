@@ -51,6 +51,10 @@ class Normaliser(nn.Module):
 
     Merged after Chan, Golub and LeVeque 1983, The American Statistician 37:242; it begins as one sample of
     mean 0 and variance 1, so that a column that never changes keeps a variance.
+
+    Attributes:
+        mean, variance: Of every column, shape (size,).
+        count: Rows that they are of, shape (size,): columns may be inherited from another run.
     """
 
     mean: torch.Tensor
@@ -61,7 +65,7 @@ class Normaliser(nn.Module):
         super().__init__()
         self.register_buffer("mean", torch.zeros(size, dtype=torch.float64))
         self.register_buffer("variance", torch.ones(size, dtype=torch.float64))
-        self.register_buffer("count", torch.ones((), dtype=torch.float64))
+        self.register_buffer("count", torch.ones(size, dtype=torch.float64))
 
     def see(self, rows: torch.Tensor, ranks: Ranks = ALONE) -> None:
         """Take rows (number, size) into account, those of all ranks, each with as many."""
