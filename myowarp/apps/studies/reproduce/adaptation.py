@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +24,15 @@ from myowarp.apps.studies.reproduce.policies import Training, available
 from myowarp.definitions.condition import Condition
 from myowarp.definitions.setup import Setup
 from myowarp.inks import INKS
-from myowarp.models.conditions import JointDevice, Ramp, Sarcopenia, Uniform
+from myowarp.models.conditions import (
+    JointDevice,
+    Ramp,
+    Sarcopenia,
+    StretchReflex,
+    TendonTear,
+    TendonTransfer,
+    Uniform,
+)
 from myowarp.tasks.setups import complete
 
 if TYPE_CHECKING:
@@ -37,19 +44,31 @@ KINDS: dict[str, dict[str, Any]] = {
     TOLD: {"observe": ("parameters",)},
     MEMORY: {"memory": 32},
 }
-ELBOW, HAND = "myoElbowPose1D6MRandom-v0", "myoHandReachRandom-v0"
+ELBOW, FINGER = "myoElbowPose1D6MRandom-v0", "myoFingerPoseRandom-v0"
+HAND, KEY, HOLD = "myoHandReachRandom-v0", "myoHandKeyTurnFixed-v0", "myoHandObjHoldFixed-v0"
+NAMES = {ELBOW: "elbow", FINGER: "finger", HAND: "hand", KEY: "key", HOLD: "hold"}
+PARALLEL = {"num_worlds": 256, "minibatches": 4}
 SETTINGS: dict[str, dict[str, Any]] = {
     ELBOW: {"samples": 600_000},
-    HAND: {"samples": 2_000_000, "parent": PREFIX + HAND, "num_worlds": 256, "minibatches": 4},
+    FINGER: {"samples": 1_000_000, "parent": PREFIX + FINGER},
+    HAND: {"samples": 2_000_000, "parent": PREFIX + HAND} | PARALLEL,
+    KEY: {"samples": 1_000_000, "parent": PREFIX + KEY} | PARALLEL,
+    HOLD: {"samples": 1_000_000, "parent": PREFIX + HOLD} | PARALLEL,
 }
 """Settings of a training by task, beside its preset; all kinds have the same."""
 MOMENT = Uniform(0.2, 1.0)  # s
-WEAKNESS, DEVICE = "weakness", "device"
-NAMES = {ELBOW: "elbow", HAND: "hand"}
+WEAKNESS, DEVICE, REFLEX, TEAR, TRANSFER = "weakness", "device", "reflex", "tear", "transfer"
 WORN = {ELBOW: "", HAND: "flexion_r"}
 """Joint of the device: where the elbow wears its exoskeleton, and the wrist."""
 Case = tuple[str, str]
-CASES: tuple[Case, ...] = tuple(product(NAMES, (WEAKNESS, DEVICE)))
+CHANGES = {
+    ELBOW: (WEAKNESS, DEVICE),
+    FINGER: (REFLEX,),
+    HAND: (WEAKNESS, DEVICE, REFLEX, TRANSFER),
+    KEY: (TEAR,),
+    HOLD: (TRANSFER,),
+}
+CASES: tuple[Case, ...] = tuple((task, change) for task, changes in CHANGES.items() for change in changes)
 CLAIMED = ("trained", TOLD, MEMORY, "kept")
 SEEDS = (0, 1, 2)
 QUICK_EPISODES = 32
@@ -61,6 +80,12 @@ def change_of(case: Case) -> Condition:
     task, change = case
     if change == WEAKNESS:
         return Sarcopenia(Ramp(1.0, Uniform(0.0, 1.0, each=True), onset=MOMENT))
+    if change == REFLEX:
+        return StretchReflex(Ramp(0.0, Uniform(0.0, 2.0), onset=MOMENT), delay=0.05)
+    if change == TEAR:
+        return TendonTear(transmission=Ramp(1.0, 0.0, onset=MOMENT))
+    if change == TRANSFER:
+        return TendonTransfer(Ramp(0.0, 1.0, onset=MOMENT))
     share = Ramp(0.0, Uniform(0.0, 2.0), onset=MOMENT)
     return JointDevice(WORN[task], stiffness=0.0, assistance=share, delay=0.1)
 

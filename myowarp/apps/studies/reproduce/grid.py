@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from myowarp.apps.policies.baselines import OWN, policy_folder
+from myowarp.apps.policies.baselines import OWN, PREFIX, policy_folder
 from myowarp.apps.policies.checkpoint import Checkpoint, load_checkpoint
 from myowarp.apps.reports import panel
 from myowarp.apps.studies.reproduce.conditions import (
@@ -42,8 +42,10 @@ def training(cell: PaperTask) -> Training | None:
     if cell.family not in TRAINED or cell.condition != NONE or cell.reset == FIXED:
         return None
     name = f"grid_{cell.family}_{cell.difficulty}_{cell.reset}"
-    settings = ENDING | {"reset": cell.reset, "parent": ""}
-    return Training(name, cell.task, samples=SAMPLES, settings=settings)
+    folder = policy_folder(OWN, cell.task) if cell.difficulty == "hard" else None
+    parent = PREFIX + folder.name if folder else ""
+    settings = ENDING | {"reset": cell.reset, "parent": parent}
+    return Training(name, cell.task, samples=SAMPLES, settings=settings, parent=parent or None)
 
 
 def of_package(cell: PaperTask) -> Checkpoint | None:
