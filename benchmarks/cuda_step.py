@@ -34,6 +34,7 @@ from myowarp.engine.step import Step
 from myowarp.process import BUILD_LOCK
 from myowarp.sim import shard as shard_module
 from myowarp.sim.build import compile_scene
+from myowarp.sim.whole_step import WholeStep
 
 ARCHITECTURE, MULTIPROCESSORS = 90, 132  # an H100
 WORLDS = 64  # of what is listed; nothing of it depends on their number
@@ -154,11 +155,15 @@ class Unlaunched(shard_module.Shard):
         """Do nothing."""
 
 
-def _trusted(step: Step, names: Iterable[str], *args: Any) -> tuple[tuple[Stage, ...], frozenset[str]]:
-    return step.stages(names), idle_kernels(step.stepped)
+def _trusted(
+    step: Step, kinds: Iterable[str | type[Stage]], *args: Any
+) -> tuple[tuple[Stage, ...], frozenset[str]]:
+    return step.stages(kinds), idle_kernels(step.stepped)
 
 
-def cuda_shard(task: str, physics: str, stages: Iterable[str] = CUDA_STAGES) -> shard_module.Shard:
+def cuda_shard(
+    task: str, physics: str, stages: Iterable[str | type[Stage]] = CUDA_STAGES
+) -> shard_module.Shard:
     """Return the worlds of a task with what they launch on CUDA, if all of it proves to be right there."""
     with (
         mock.patch.object(shard_module, "choose_stages", _trusted),
@@ -261,7 +266,7 @@ def main() -> None:
         if options.compile is not None:
             more = other_nodes(shard) + engine_nodes(shard) if options.complete else []
             if (task, physics) == WHOLE:
-                more += step_nodes(cuda_shard(task, physics, stages=("whole_step",)))
+                more += step_nodes(cuda_shard(task, physics, stages=(WholeStep,)))
             for name, need in compile_nodes(nodes + more, options.compile).items():
                 found[name] = need.or_more(found.get(name, need))
     if options.output is not None:

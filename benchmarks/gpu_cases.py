@@ -38,6 +38,7 @@ from myowarp.process import BUILD_LOCK
 from myowarp.sim import shard
 from myowarp.sim.build import resolve_device
 from myowarp.sim.simulation import Simulation
+from myowarp.sim.whole_step import WholeStep
 
 CONTROLS = 8  # sets of random controls of the engine, used in turn
 WARMUP = 5  # control steps
@@ -361,7 +362,7 @@ def agreement(case: Case, options: Options) -> Iterator[dict[str, Any]]:
 def whole_step(case: Case, options: Options) -> Iterator[dict[str, Any]]:
     """Yield rates with one launch a physics step and with the default's, and how far they get apart."""
     found: dict[str, tuple[float, np.ndarray]] = {}
-    for name, stages in (("stages", None), ("whole_step", ("whole_step",))):
+    for name, stages in (("stages", None), ("whole_step", (WholeStep,))):
         sim = simulation(case, options.device, stages=stages)
         qpos = trajectory(sim, random_actions(sim, min(GATES)))["qpos"]
         steps = max(2, round(options.seconds / seconds_of(sim.step, 2, sim.scene.device)))

@@ -311,6 +311,22 @@ def test_imports_go_down():
     refuse(wrong_imports(goes_up))
 
 
+def test_a_reader_climbs_few_floors():
+    """A room stands one floor above the highest that it imports from."""
+    below = {room: set() for room in ROOMS}
+    for name in FILES:
+        for _, module in imports(name):
+            package, _, inside = module.partition(".")
+            if package == "myowarp" and inside:
+                below[room_of(name)].add(room_of(inside))
+    floors = {}
+    for room in reversed(ROOMS):
+        floors[room] = 1 + max((floors[other] for other in below[room] - {room}), default=0)
+    assert floors["osim"] <= 4
+    assert floors["motion"] <= 5
+    assert max(floors.values()) <= 10
+
+
 def place_of(name):
     """Return room and folder of a file (`apps/cli/view.py`) or a module (`apps.cli.view`); None: neither."""
     room, *inside = re.split(r"[./]", name.removesuffix(".py"))

@@ -37,9 +37,6 @@ STAGES = {
 """Name of a file in `stages/` and of its class, in the order in which they are verified: the solver early,
 because it amplifies rounding less than the engine's."""
 
-ON_REQUEST = {"whole_step": "WholeStep"}
-"""Stages that are used only where they are named."""
-
 
 class Stage(abc.ABC):
     """Kernels of ours for one or more places of the physics step.
@@ -105,12 +102,11 @@ def load(name: str) -> type[Stage] | None:
     Raises:
         ValueError: No such stage.
     """
-    known = STAGES | ON_REQUEST
-    if name not in known:
-        raise ValueError(f"stage {name!r} unknown; available: {', '.join(known)}")
+    if name not in STAGES:
+        raise ValueError(f"stage {name!r} unknown; available: {', '.join(STAGES)}")
     with or_the_engines(name):
         module = importlib.import_module(f"myowarp.engine.stages.{name}")
-        kind: type[Stage] = getattr(module, known[name])
+        kind: type[Stage] = getattr(module, STAGES[name])
         return kind
     return None
 

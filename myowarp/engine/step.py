@@ -209,12 +209,12 @@ class Step:
     def follow(self) -> None:
         """Put joints that follow others exactly to where these are; here none does."""
 
-    def stages(self, names: Iterable[str] = STAGES) -> tuple[Stage, ...]:
-        """Return the stages of these names that the step can use, in the order of the names."""
+    def stages(self, kinds: Iterable[str | type[Stage]] = STAGES) -> tuple[Stage, ...]:
+        """Return the stages of these names or classes that the step can use, in their order."""
         found: list[Stage] = []
-        for name in names if uncovered(self.stepped) is None else ():
-            kind = load(name)
-            with or_the_engines(name):  # a field of its model or data may be gone
+        for name in kinds if uncovered(self.stepped) is None else ():
+            kind = load(name) if isinstance(name, str) else name
+            with or_the_engines(str(name)):  # a field of its model or data may be gone
                 if kind is not None and kind.obstacle(at := self.at(kind.REPLACES[0])) is None:
                     found.append(kind(at))
         return tuple(found)

@@ -62,7 +62,7 @@ class Verdict(NamedTuple):
 
 def choose_stages(
     step: Step,
-    names: Iterable[str],
+    kinds: Iterable[str | type[Stage]],
     also: Callable[[], None],
     progress: bool,
     conditions: Iterable[Condition] = (),
@@ -71,12 +71,12 @@ def choose_stages(
 
     Args:
         step: The physics step; the state of what it steps is overwritten.
-        names: Stages to use where they apply, names in `STAGES`.
+        kinds: Stages to use where they apply: names in `STAGES`, or classes.
         also: Launches what else is to be compiled.
         progress: Whether to show progress bars.
         conditions: Conditions that may act in a physics step.
     """
-    candidates = step.stages(names)
+    candidates = step.stages(kinds)
 
     def verify() -> Verdict:
         def launch_both() -> None:

@@ -16,7 +16,6 @@ import warp as wp
 
 from myowarp.kernels.launch import launch
 from myowarp.laws.pieces import Pieces, PieceTables, chain_of, evaluated, piece_tables
-from myowarp.process import start_warp
 
 NULLARY = ("number", "variable")
 UNARY = (
@@ -262,9 +261,11 @@ def run_programs(
 
 
 def values_of(expressions: Iterable[Expression], variables: np.ndarray) -> np.ndarray:
-    """Return expressions of rows of variables, shape (rows, variables), as (rows, expressions)."""
+    """Return expressions of rows of variables, shape (rows, variables), as (rows, expressions).
+
+    Warp must have been started (`process.start_warp`).
+    """
     kept = list(expressions)
-    start_warp()
     with wp.ScopedDevice("cpu"):
         value = wp.empty((len(variables), len(kept)), dtype=wp.float64)
         launch(

@@ -16,6 +16,7 @@ from myowarp.motion.units import doubtful_times
 from myowarp.osim.body.skeleton import Bones
 from myowarp.osim.document.model import GROUND
 from myowarp.osim.document.read.element import Element, parse
+from myowarp.process import start_warp
 
 AXES = ("x", "y", "z")
 
@@ -163,6 +164,7 @@ def prescribed_loads(bones: Bones, time: np.ndarray) -> list[Load]:
         bones: The model.
         time: [s], shape (frames,).
     """
+    start_warp()
     found = []
     for one in bones.model.prescribed_forces:
         parts = values_of(one.formulas, time[:, None]).reshape(len(time), 3, 3)

@@ -28,11 +28,11 @@ from myowarp.disk import cached, files_digest, is_ours, model_bytes, model_from_
 from myowarp.engine.arena import Arena
 from myowarp.engine.ground import height_field
 from myowarp.engine.replaced import replaced
+from myowarp.engine.slim import slim
 from myowarp.engine.step import uncovered
 from myowarp.engine.stepped import Stepped
 from myowarp.kernels.action import MOTOR, MUSCLE
 from myowarp.kernels.random import new_keys
-from myowarp.models.slim import slim
 from myowarp.osim.bundle.couplings import NOTHING
 from myowarp.osim.bundle.loops import settled
 from myowarp.process import start_warp, warn_once, with_build_lock
@@ -141,7 +141,7 @@ def full_model(spec: TaskSpec, conditions: tuple[Condition, ...] = ()) -> mujoco
 def source_digest(more: Iterable[Path] = ()) -> str:
     """Return a digest of our code that a scene depends on, and of more files: an edit renews what is kept."""
     package = Path(__file__).parents[1]
-    files = [Path(__file__), package / "models/slim.py", package / "definitions/parameter.py", *more]
+    files = [Path(__file__), package / "engine/slim.py", package / "definitions/parameter.py", *more]
     files += [*sorted(package.glob("tasks/*.py")), *sorted(package.glob("models/bodies/*.py"))]
     files += sorted(package.glob("models/conditions/*.py"))
     return files_digest(files)

@@ -14,7 +14,7 @@ import numpy as np
 
 from myowarp.definitions.scene import Capacity
 from myowarp.disk import array_bytes, array_from_bytes, cached, files_digest, model_digest
-from myowarp.models import slim
+from myowarp.engine import slim
 
 MARGIN = 1.5  # over the largest numbers seen
 NUM_EPISODES = 16

@@ -97,7 +97,7 @@ class Shard:
         horizon: int | None = None,
         observe: Iterable[str] = (),
         graph: bool = True,
-        stages: Iterable[str] = STAGES,
+        stages: Iterable[str | type[Stage]] = STAGES,
         progress: bool = True,
         find_starts: Callable[[], Starts] | None = None,
         like: Shard | None = None,
@@ -111,7 +111,7 @@ class Shard:
             horizon: Control steps in an episode; None: the task's.
             observe: Names of senses.
             graph: Whether to capture the step as a graph.
-            stages: Names in `engine.stage.STAGES` to use where they apply.
+            stages: Names in `engine.stage.STAGES`, or classes, to use where they apply.
             progress: Whether to show a progress bar while kernels compile.
             find_starts: Returns random starts, for a scene whose `reset` is "random"; called once all else of
                 the scene is known to be right.
@@ -151,10 +151,10 @@ class Shard:
         self.starts = wp.array(starts.values, dtype=float)
         self.start_address = wp.array(starts.address, dtype=int)
 
-    def _choose_kernels(self, names: Iterable[str]) -> None:
+    def _choose_kernels(self, kinds: Iterable[str | type[Stage]]) -> None:
         """Find out which stages of the physics step are to be ours, and compile all kernels."""
         self.stages, self.idle_kernels = choose_stages(
-            self.physics_step, names, self._launch_all, self._progress, self.conditions
+            self.physics_step, kinds, self._launch_all, self._progress, self.conditions
         )
         self._take_stages()
         self._modules = compile_kernels(self._launch_all, self.scene.device, show=self._progress)

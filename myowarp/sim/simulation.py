@@ -29,7 +29,7 @@ from myowarp.definitions.task import TaskSpec
 from myowarp.definitions.worlds import Worlds
 from myowarp.engine.compile import can_renew_code, quiet
 from myowarp.engine.graph import Graph, Replay
-from myowarp.engine.stage import STAGES
+from myowarp.engine.stage import STAGES, Stage
 from myowarp.engine.threads import Team
 from myowarp.kernels.episode import (
     AUTORESET,
@@ -91,7 +91,7 @@ class Simulation:
         autoreset: str = "next_step",
         graph: bool = True,
         deterministic: bool = False,
-        stages: Iterable[str] | None = None,
+        stages: Iterable[str | type[Stage]] | None = None,
         progress: bool = True,
         adjustable: bool = False,
         **fields: Any,
@@ -104,7 +104,7 @@ class Simulation:
             autoreset: Gymnasium's mode, a key of `AUTORESET`.
             graph: Whether to capture the step as a graph.
             deterministic: Whether CUDA launches in a fixed order, as in `MyoWarpVectorEnv`.
-            stages: Names in `engine.stage.STAGES` to use where they apply; None: all.
+            stages: Names in `engine.stage.STAGES`, or classes, to use where they apply; None: all those.
             progress: Whether to show progress bars while kernels compile and random starts are found.
             adjustable: Whether conditions can be changed later, as `myowarp.sim.patient` does.
             **fields: Fields of `Setup`, in place of those of `setup`. Rank r of R has worlds r num_worlds to

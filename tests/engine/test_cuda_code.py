@@ -8,6 +8,7 @@ import warp as wp
 
 from benchmarks.cubin import Need
 from benchmarks.cuda_step import ARCHITECTURE, CASES, WHOLE, compile_nodes, cuda_shard, step_nodes
+from myowarp.sim.whole_step import WholeStep
 
 HAND, PARITY = CASES[0]
 TABLE = json.loads((Path(__file__).parents[1] / "data" / "cuda_kernels.json").read_text())
@@ -62,7 +63,7 @@ def test_all_kernels_of_a_step(task, physics, tmp_path):
 @pytest.mark.slow
 def test_a_physics_step_in_one_kernel(tmp_path):
     """It is no small one: the code of all stages, and a stack; but one for each physics step."""
-    nodes = step_nodes(cuda_shard(*WHOLE, stages=("whole_step",)))
+    nodes = step_nodes(cuda_shard(*WHOLE, stages=(WholeStep,)))
     found = compile_nodes([node for node in nodes if node.name == "step_worlds"], tmp_path)
     assert found.keys() == {"step_worlds"}
     assert_as_in_table(found)

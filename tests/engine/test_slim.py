@@ -10,7 +10,7 @@ from often import of_each
 
 import myowarp.tasks  # noqa: F401
 from myowarp.definitions.task import TASKS
-from myowarp.models.slim import colliding_geoms, colliding_pairs, slim
+from myowarp.engine.slim import colliding_geoms, colliding_pairs, slim
 from myowarp.sim.build import full_spec, slim_model, stateless_model
 
 NUM_STATES = 200  # in which geoms may touch

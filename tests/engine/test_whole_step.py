@@ -8,9 +8,9 @@ import pytest
 from benchmarks.cuda_step import WHOLE, cuda_shard, step_nodes
 from benchmarks.gpu_cases import random_actions, trajectory
 from myowarp.definitions.task import TASKS
-from myowarp.engine.stages.whole_step import STRIDE, WholeStep
 from myowarp.sim.build import compile_scene, stepped_of
 from myowarp.sim.simulation import Simulation
+from myowarp.sim.whole_step import STRIDE, WholeStep
 
 ELBOW, HAND, KEY = "myoElbowPose1D6MRandom-v0", "myoHandPoseRandom-v0", "myoHandKeyTurnFixed-v0"
 WORLDS, STEPS, EXPECTED = STRIDE + 3, 3, 0.01  # worlds of two warps; control steps; rad that something moves
@@ -23,7 +23,7 @@ def simulation(task, **options):
 @pytest.mark.parametrize("task", [ELBOW, pytest.param(HAND, marks=pytest.mark.slow)])
 def test_bits_of_lanes(task):
     """A world in a thread, beside 31 others in memory, computes what a lane does."""
-    whole, lanes = simulation(task, stages=("whole_step",)), simulation(task)
+    whole, lanes = simulation(task, stages=(WholeStep,)), simulation(task)
     assert [type(stage) for stage in whole.shards[0].stages] == [WholeStep]
     actions = random_actions(lanes, STEPS)
     got, expected = trajectory(whole, actions), trajectory(lanes, actions)
@@ -43,6 +43,6 @@ def test_what_it_refuses():
 
 
 def test_a_physics_step_is_one_kernel():
-    nodes = [node for node in step_nodes(cuda_shard(*WHOLE, stages=("whole_step",))) if node.depth == 1]
+    nodes = [node for node in step_nodes(cuda_shard(*WHOLE, stages=(WholeStep,))) if node.depth == 1]
     assert [node.name for node in nodes if node.kind == "kernel"] == ["step_worlds", "count_down"]
     assert {node.kind for node in nodes} == {"kernel"}

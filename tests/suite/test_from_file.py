@@ -12,8 +12,8 @@ import pytest
 
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.task import TASKS
+from myowarp.engine.slim import slim
 from myowarp.kernels.action import CENTER, STEEPNESS
-from myowarp.models.slim import slim
 from myowarp.osim.bundle.couplings import couplings, follow
 from myowarp.osim.bundle.mjcf import mjcf
 from myowarp.osim.convert.compose.convert import convert

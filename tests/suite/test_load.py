@@ -15,8 +15,8 @@ from myowarp.definitions.body import BODIES
 from myowarp.definitions.condition import resolve
 from myowarp.definitions.parameter import Ramp, Uniform
 from myowarp.definitions.task import TASKS
+from myowarp.engine.slim import slim
 from myowarp.models.conditions.load import Load
-from myowarp.models.slim import slim
 from myowarp.sim.build import full_spec, oracle_model
 from myowarp.sim.simulation import Simulation
 

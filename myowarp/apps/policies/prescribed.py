@@ -28,6 +28,7 @@ from myowarp.osim.document.read.expressions import expression_of
 from myowarp.osim.document.read.functions import read_function
 from myowarp.osim.document.read.model import checked, read_model
 from myowarp.osim.document.read.muscles import is_on
+from myowarp.process import start_warp
 
 logger = logging.getLogger("myowarp")
 
@@ -112,6 +113,7 @@ def _of_functions(element: Element, time: np.ndarray) -> Controls:
                  for one in (place.own("objects") or place).children if one.tag != "groups"]  # fmt: skip
     if functions and len(functions) != len(names):
         raise element.error(f"needs a function for each of its {len(names)} actuators, got {len(functions)}")
+    start_warp()
     for name, function in zip(names, functions, strict=False):
         if (called := function.name.rpartition("/")[2]) in names and called != name:
             raise function.error(

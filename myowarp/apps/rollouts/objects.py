@@ -13,7 +13,7 @@ import numpy as np
 
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.scene import Scene
-from myowarp.models.slim import colliding_pairs
+from myowarp.engine.slim import colliding_pairs
 from myowarp.sim.build import full_spec
 from myowarp.sim.simulation import Simulation
 

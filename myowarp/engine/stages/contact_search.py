@@ -8,6 +8,7 @@ from mujoco_warp import BroadphaseType, DeterminismType, DisableBit, GeomType
 from mujoco_warp._src.collision_core import create_collision_context
 from mujoco_warp._src.collision_driver import MJ_COLLISION_TABLE, CollisionType, convex_narrowphase
 
+from myowarp.engine.slim import colliding_pairs
 from myowarp.engine.stage import Stage
 from myowarp.engine.stages.arrays import ContactPool, filled
 from myowarp.engine.stages.contact_filter import ContactFilter
@@ -21,7 +22,6 @@ from myowarp.engine.stages.contact_search_kernel import (
 from myowarp.engine.stages.primitive_contacts import CLOSED_FORMS, touch_kernel
 from myowarp.engine.stepped import Stepped
 from myowarp.kernels.launch import launch
-from myowarp.models.slim import colliding_pairs
 
 Kind = tuple[GeomType, GeomType]
 

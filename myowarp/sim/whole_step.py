@@ -3,7 +3,7 @@
 The sources are those that serve lanes (`rigid_body.py` and the stages after it); a lane is a thread, and what
 it computes lies beside what the others compute (`strided.cpp`), as CUDA reads memory. Nothing of a step then
 waits for another launch, or for the slowest world. On the CPU worlds go one after the other, which is slower
-than lanes and has their bits. It is used where it is named, `stages=("whole_step",)`: no GPU has run it yet.
+than lanes and has their bits. It is used where it is named, `stages=(WholeStep,)`: no GPU has run it yet.
 """
 
 from types import SimpleNamespace
@@ -12,9 +12,9 @@ from typing import Any, ClassVar
 import mujoco_warp as mjw
 import warp as wp
 from mujoco_warp import DisableBit, IntegratorType
-from mujoco_warp._src.types import vec10
 
 from myowarp.definitions.muscle import Anatomy, MuscleResults
+from myowarp.engine.inertia import vec10
 from myowarp.engine.stage import Stage
 from myowarp.engine.stages import contact_solve, integrate, muscle_path_kernel, rigid_body
 from myowarp.engine.stages.affine_actuators import FILE as ACTUATORS
