@@ -81,7 +81,7 @@ def change_of(case: Case) -> Condition:
     if change == WEAKNESS:
         return Sarcopenia(Ramp(1.0, Uniform(0.0, 1.0, each=True), onset=MOMENT))
     if change == REFLEX:
-        return StretchReflex(Ramp(0.0, Uniform(0.0, 2.0), onset=MOMENT), delay=0.05)
+        return StretchReflex(Ramp(0.0, Uniform(1.0, 4.0), onset=MOMENT), delay=0.1)
     if change == TEAR:
         return TendonTear(transmission=Ramp(1.0, 0.0, onset=MOMENT))
     if change == TRANSFER:
@@ -150,9 +150,9 @@ def findings(found: Mapping[Case, list[dict[str, np.ndarray]]]) -> Findings:
     """Return figures of merit, claims and figure, of the runs of each task and change."""
     rows: list[Merit] = []
     lines: list[str] = []
-    holds: dict[str, bool | None] = {f"{_short(case)}_{name}": None for case in CASES for name in CLAIMED}
+    where: dict[str, list[str]] = {name: [] for name in CLAIMED}
     for (task, change), runs in found.items():
-        case, short = f"{task}, {change}", _short((task, change))
+        case, short = f"{task}, {change}", f"{NAMES[task]} ({change})"
         falls = np.array([own["falls"] for own in runs])  # (seeds, policies, 3)
         after = np.array([own["shares"].mean(axis=1) for own in runs])  # (seeds, policies)
         for p, name in enumerate((BASELINE, *KINDS)):
@@ -168,25 +168,18 @@ def findings(found: Mapping[Case, list[dict[str, np.ndarray]]]) -> Findings:
             note = "; ".join(f"{gain:+.2f}, {low:.2f} to {high:.2f}" for gain, low, high in gains)
             what, said = f"gain of {name} over {over}", f"each seed, with its interval over episodes: {note}"
             rows.append(Merit(what, "%", case, means, note=said))
-            claim = "trained" if name == BLIND else name
-            holds[f"{short}_{claim}"] = all(low > 0.0 for _, low, _ in gains)
+            if all(low > 0.0 for _, low, _ in gains):
+                where["trained" if name == BLIND else name].append(short)
             lines.append(f"* {case}: {name} {np.mean(means):+.2f} points over {over} ({note}).")
         told, memory = (1 + list(KINDS).index(name) for name in (TOLD, MEMORY))
-        holds[f"{short}_kept"] = bool((after[:, memory] >= KEPT * after[:, told]).all())
+        if (after[:, memory] >= KEPT * after[:, told]).all():
+            where["kept"].append(short)
     episodes = next(iter(found.values()))[0]["shares"].shape[1]
-    seeds = ", ".join(f"{len(runs)} of {task} ({change})" for (task, change), runs in found.items())
-    measured = {"lines": "\n".join(lines), "episodes": episodes, "seeds": seeds}
-    for name in CLAIMED:
-        cases = [_short(case).replace("_", " with " if case[1] == DEVICE else " after ") for case in CASES
-                 if holds[f"{_short(case)}_{name}"]]  # fmt: skip
-        measured[name] = " and ".join(cases) or "nobody"
+    seeds = ", ".join(f"{len(runs)} of {NAMES[task]} ({change})" for (task, change), runs in found.items())
+    measured = {"lines": "\n".join(lines), "episodes": episodes, "seeds": seeds, "cases": len(found)}
+    measured |= {name: ", ".join(cases) or "nobody" for name, cases in where.items()}
+    holds: dict[str, bool | None] = {name: len(cases) == len(found) for name, cases in where.items()}
     return Findings(rows, holds, lambda figure: draw(figure, found), measured)
-
-
-def _short(case: Case) -> str:
-    """Return the name of a case in claims."""
-    task, change = case
-    return f"{NAMES[task]}_{change}"
 
 
 def _gain(own: Mapping[str, np.ndarray], name: str, over: str) -> tuple[float, float, float]:
