@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import bootstrap
 
-from myowarp.apps.policies.find import acting, find_policy
+from myowarp.apps.policies.find import Policy, acting, find_policy
 from myowarp.apps.studies import adaptation, leaderboard
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
@@ -49,6 +49,26 @@ def by_hand(name):
         changed[weak & (changed < 0)] = step
         solved.append(sim.transition.solved.numpy().copy())
     return np.array(solved), changed, sim.scene.control_dt
+
+
+def test_another_policy_acts_from_the_change_on():
+    """The muscles themselves say when that is; both policies see all that is observed."""
+    sim = Simulation(setup(BROKEN, observe=("parameters",)), EPISODES, autoreset="disabled", graph=False)
+    both = [
+        Policy(str(value), act=lambda obs, value=value: np.full((EPISODES, 6), value))
+        for value in (-1.0, 1.0)
+    ]
+    act = adaptation.Relieved("both", *both).acting(sim)
+    sim.reset(seeds=np.arange(EPISODES))
+    late = []
+    for _ in range(HORIZON):
+        action = act(sim.transition.obs.numpy().copy())
+        sim.action.assign(action.astype(np.float32))
+        sim.step()
+        weak = sim.scene.muscles.anatomy.strength.numpy()[:, 0] == 0.0
+        np.testing.assert_array_equal(action, np.where(weak[:, None], 1.0, -1.0) * np.ones(6))
+        late.append(weak.mean())
+    assert late[0] == 0.0 < late[35] < late[-1] == 1.0
 
 
 @pytest.mark.parametrize("which", [0, 1])

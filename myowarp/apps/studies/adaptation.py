@@ -31,6 +31,7 @@ from rich.console import Console
 
 from myowarp.apps.policies.checkpoint import trained_setup
 from myowarp.apps.policies.find import Policy, acting
+from myowarp.apps.policies.learned import Act
 from myowarp.apps.reports import panel
 from myowarp.apps.reports.intervals import mean_interval
 from myowarp.apps.rollouts.run import Step, Watcher, progress, run
@@ -104,6 +105,34 @@ class Adaptation:
     policies: tuple[Adapted, ...]
 
 
+@dataclass(frozen=True)
+class Relieved:
+    """A policy that another one relieves as soon as the patient has changed.
+
+    Attributes:
+        name: What the two are called.
+        before: Acts until then.
+        after: Acts from then on.
+    """
+
+    name: str
+    before: Policy
+    after: Policy
+
+    def acting(self, sim: Simulation) -> Act:
+        """Return the function that acts in a simulation which observes the parameters of the conditions."""
+        before, after = (acting(own, sim) for own in (self.before, self.after))
+        told, first = sim.blocks[PARAMETERS], list[np.ndarray]()
+
+        def act(obs: np.ndarray) -> np.ndarray:
+            if not first:
+                first.append(obs[:, told].copy())
+            changed = (obs[:, told] != first[0]).any(axis=1, keepdims=True)
+            return np.where(changed, after(obs), before(obs))
+
+        return act
+
+
 class Trail(Watcher):
     """Remembers when worlds changed and when they were solved, in the first episode of each.
 
@@ -154,7 +183,10 @@ def with_patients(setup: Setup, table: Path, episodes: int) -> Setup:
 
 
 def study(
-    setup: Setup, policies: Sequence[Policy], episodes: int = EPISODES, console: Console | None = None
+    setup: Setup,
+    policies: Sequence[Policy | Relieved],
+    episodes: int = EPISODES,
+    console: Console | None = None,
 ) -> Adaptation:
     """Let policies act in patients who change.
 
@@ -210,14 +242,17 @@ def study(
     return Adaptation(setup, steps * dt, np.array(curves), np.array(shares), tuple(found))
 
 
-def _follow(setup: Setup, policy: Policy, episodes: int, console: Console | None) -> Trail:
+def _follow(setup: Setup, policy: Policy | Relieved, episodes: int, console: Console | None) -> Trail:
     """Return what one policy did in all worlds."""
-    own = trained_setup(policy.checkpoint.manifest).observe or () if policy.checkpoint else ()
-    observe = (PARAMETERS, *(sense for sense in own if sense != PARAMETERS))
+    parts = (policy,) if isinstance(policy, Policy) else (policy.before, policy.after)
+    trained = [trained_setup(part.checkpoint.manifest) for part in parts if part.checkpoint]
+    senses = dict.fromkeys(sense for own in trained for sense in own.observe or ())
+    observe = (PARAMETERS, *(sense for sense in senses if sense != PARAMETERS))
     sim = Simulation(dataclasses.replace(setup, observe=observe), episodes, autoreset="same_step")
+    act = acting(policy, sim) if isinstance(policy, Policy) else policy.acting(sim)
     trail = Trail(sim)
     with progress(policy.name, "steps", sim.horizon, console) as bar:
-        run(sim, acting(policy, sim), sim.horizon, trail, bar, until=trail.all_ended)
+        run(sim, act, sim.horizon, trail, bar, until=trail.all_ended)
     sim.close()
     return trail
 

@@ -38,56 +38,60 @@ from myowarp.tasks.setups import complete
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-BASELINE, BLIND, TOLD, MEMORY = "baseline", "blind", "told", "memory"
+BASELINE, BLIND, TOLD, MEMORY, RETRAINED = "baseline", "blind", "told", "memory", "retrained"
 KINDS: dict[str, dict[str, Any]] = {
     BLIND: {},
     TOLD: {"observe": ("parameters",)},
     MEMORY: {"memory": 32},
+    RETRAINED: {"observe": ("parameters",)},
 }
+"""How policies of a change are trained: beside its settings what they observe and remember."""
 ELBOW, FINGER = "myoElbowPose1D6MRandom-v0", "myoFingerPoseRandom-v0"
 HAND, KEY, HOLD = "myoHandReachRandom-v0", "myoHandKeyTurnFixed-v0", "myoHandObjHoldFixed-v0"
 NAMES = {ELBOW: "elbow", FINGER: "finger", HAND: "hand", KEY: "key", HOLD: "hold"}
 PARALLEL = {"num_worlds": 256, "minibatches": 4}
 SETTINGS: dict[str, dict[str, Any]] = {
     ELBOW: {"samples": 600_000},
-    FINGER: {"samples": 1_000_000, "parent": PREFIX + FINGER},
+    FINGER: {"samples": 600_000, "parent": PREFIX + FINGER},
     HAND: {"samples": 2_000_000, "parent": PREFIX + HAND} | PARALLEL,
     KEY: {"samples": 1_000_000, "parent": PREFIX + KEY} | PARALLEL,
-    HOLD: {"samples": 1_000_000, "parent": PREFIX + HOLD} | PARALLEL,
+    HOLD: {"samples": 600_000, "parent": PREFIX + HOLD} | PARALLEL,
 }
 """Settings of a training by task, beside its preset; all kinds have the same."""
 MOMENT = Uniform(0.2, 1.0)  # s
 WEAKNESS, DEVICE, REFLEX, TEAR, TRANSFER = "weakness", "device", "reflex", "tear", "transfer"
-WORN = {ELBOW: "", HAND: "flexion_r"}
-"""Joint of the device: where the elbow wears its exoskeleton, and the wrist."""
 Case = tuple[str, str]
-CHANGES = {
-    ELBOW: (WEAKNESS, DEVICE),
-    FINGER: (REFLEX,),
-    HAND: (WEAKNESS, DEVICE, REFLEX, TRANSFER),
-    KEY: (TEAR,),
-    HOLD: (TRANSFER,),
-}
+CHANGES = {ELBOW: (WEAKNESS, DEVICE), FINGER: (REFLEX,), HAND: (REFLEX,), KEY: (TEAR,), HOLD: (TRANSFER,)}
 CASES: tuple[Case, ...] = tuple((task, change) for task, changes in CHANGES.items() for change in changes)
-CLAIMED = ("trained", TOLD, MEMORY, "kept")
+WITH_RETRAINED = ((ELBOW, WEAKNESS), (ELBOW, DEVICE), (HAND, REFLEX))
+CLAIMS = {BLIND: "trained", TOLD: TOLD, MEMORY: MEMORY}
+"""What is claimed of the gains of a kind."""
 SEEDS = (0, 1, 2)
 QUICK_EPISODES = 32
-KEPT = 0.9  # share of what a told policy solves
+KEPT = 0.9  # share of what retraining solves
 
 
-def change_of(case: Case) -> Condition:
-    """Return how the patients of a case change."""
-    task, change = case
+def kinds_of(case: Case) -> tuple[str, ...]:
+    """Return the kinds of policies that are trained for a case."""
+    return tuple(kind for kind in KINDS if kind != RETRAINED or case in WITH_RETRAINED)
+
+
+def change_of(case: Case, *, there: bool = False) -> Condition:
+    """Return how the patients of a case change, or what they are when the change is there from the begin."""
+
+    def come(before: float, after: float | Uniform) -> float | Uniform | Ramp:
+        return after if there else Ramp(before, after, onset=MOMENT)
+
+    _, change = case
     if change == WEAKNESS:
-        return Sarcopenia(Ramp(1.0, Uniform(0.0, 1.0, each=True), onset=MOMENT))
+        return Sarcopenia(come(1.0, Uniform(0.0, 1.0, each=True)))
     if change == REFLEX:
-        return StretchReflex(Ramp(0.0, Uniform(1.0, 4.0), onset=MOMENT), delay=0.1)
+        return StretchReflex(come(0.0, Uniform(1.0, 4.0)), delay=0.1)
     if change == TEAR:
-        return TendonTear(transmission=Ramp(1.0, 0.0, onset=MOMENT))
+        return TendonTear(transmission=come(1.0, 0.0))
     if change == TRANSFER:
-        return TendonTransfer(Ramp(0.0, 1.0, onset=MOMENT))
-    share = Ramp(0.0, Uniform(0.0, 2.0), onset=MOMENT)
-    return JointDevice(WORN[task], stiffness=0.0, assistance=share, delay=0.1)
+        return TendonTransfer(come(0.0, 1.0))
+    return JointDevice(stiffness=0.0, assistance=come(0.0, Uniform(0.0, 2.0)), delay=0.1)
 
 
 def training(case: Case, kind: str) -> Training:
@@ -96,13 +100,16 @@ def training(case: Case, kind: str) -> Training:
     own = dict(SETTINGS[task])
     samples, parent = own.pop("samples"), own.get("parent")
     name = f"changing_{task}_{change}_{kind}"
-    return Training(name, task, lambda: (change_of(case),), samples, own | KINDS[kind], parent=parent)
+    conditions = (change_of(case, there=kind == RETRAINED),)
+    return Training(name, task, lambda: conditions, samples, own | KINDS[kind], parent=parent)
 
 
 def seeds_of(lab: Lab, case: Case) -> list[int]:
     """Return the seeds of which all kinds of policies are there."""
     seeds = SEEDS[:1] if lab.quick else SEEDS
-    return [s for s in seeds if lab.retrain or all(available(training(case, kind), s) for kind in KINDS)]
+    return [
+        s for s in seeds if lab.retrain or all(available(training(case, kind), s) for kind in kinds_of(case))
+    ]
 
 
 def run(lab: Lab) -> Findings:
@@ -121,13 +128,17 @@ def _study(lab: Lab, case: Case, seed: int) -> dict[str, np.ndarray]:
     """
     task, change = case
     policies = {BASELINE: load_baseline(task).checkpoint}
-    policies |= {kind: lab.policy(training(case, kind), seed) for kind in KINDS}
+    policies |= {kind: lab.policy(training(case, kind), seed) for kind in kinds_of(case)}
     episodes = QUICK_EPISODES if lab.quick else adaptation.EPISODES
 
     def measure(tick: Tick) -> dict[str, np.ndarray]:
         asked = Setup(task=task, conditions=(change_of(case),), physics="parity", seed=EVALUATION_SEED)
         setup = complete(asked.over(lab.setup))
-        acting = [Policy(name, checkpoint=checkpoint) for name, checkpoint in policies.items()]
+        own = {name: Policy(name, checkpoint=checkpoint) for name, checkpoint in policies.items()}
+        acting = [
+            adaptation.Relieved(name, own[BASELINE], policy) if name == RETRAINED else policy
+            for name, policy in own.items()
+        ]
         result = adaptation.study(setup, acting, episodes)
         falls = [(p.before, p.drop, p.recovery) for p in result.policies]
         return {
@@ -150,42 +161,44 @@ def findings(found: Mapping[Case, list[dict[str, np.ndarray]]]) -> Findings:
     """Return figures of merit, claims and figure, of the runs of each task and change."""
     rows: list[Merit] = []
     lines: list[str] = []
-    where: dict[str, list[str]] = {name: [] for name in CLAIMED}
+    where: dict[str, list[str]] = {name: [] for name in (*CLAIMS.values(), "kept")}
     for (task, change), runs in found.items():
         case, short = f"{task}, {change}", f"{NAMES[task]} ({change})"
         falls = np.array([own["falls"] for own in runs])  # (seeds, policies, 3)
         after = np.array([own["shares"].mean(axis=1) for own in runs])  # (seeds, policies)
-        for p, name in enumerate((BASELINE, *KINDS)):
+        names = (BASELINE, *kinds_of((task, change)))
+        for p, name in enumerate(names):
             who = f"{case}, {name}"
             rows.append(Merit("solved before the change", "%", who, 100.0 * falls[:, p, 0], within=PERCENT))
             rows.append(Merit("drop", "%", who, 100.0 * falls[:, p, 1]))
             rows.append(Merit("time to half of the drop", "s", who, falls[:, p, 2]))
             rows.append(Merit("solved after the change", "%", who, 100.0 * after[:, p], within=PERCENT))
-        for name in KINDS:
+        for name in names[1:]:
             over = BASELINE if name == BLIND else BLIND
-            gains = [_gain(own, name, over) for own in runs]
+            gains = [_gain(own, names.index(name), names.index(over)) for own in runs]
             means = [gain for gain, *_ in gains]
             note = "; ".join(f"{gain:+.2f}, {low:.2f} to {high:.2f}" for gain, low, high in gains)
             what, said = f"gain of {name} over {over}", f"each seed, with its interval over episodes: {note}"
             rows.append(Merit(what, "%", case, means, note=said))
-            if all(low > 0.0 for _, low, _ in gains):
-                where["trained" if name == BLIND else name].append(short)
+            if all(low > 0.0 for _, low, _ in gains) and (claim := CLAIMS.get(name)):
+                where[claim].append(short)
             lines.append(f"* {case}: {name} {np.mean(means):+.2f} points over {over} ({note}).")
-        told, memory = (1 + list(KINDS).index(name) for name in (TOLD, MEMORY))
-        if (after[:, memory] >= KEPT * after[:, told]).all():
-            where["kept"].append(short)
+        if RETRAINED in names:
+            retrained, memory = (after[:, names.index(name)] for name in (RETRAINED, MEMORY))
+            where["kept"] += [short] if (memory >= KEPT * retrained).all() else []
     episodes = next(iter(found.values()))[0]["shares"].shape[1]
     seeds = ", ".join(f"{len(runs)} of {NAMES[task]} ({change})" for (task, change), runs in found.items())
     measured = {"lines": "\n".join(lines), "episodes": episodes, "seeds": seeds, "cases": len(found)}
     measured |= {name: ", ".join(cases) or "nobody" for name, cases in where.items()}
     holds: dict[str, bool | None] = {name: len(cases) == len(found) for name, cases in where.items()}
+    compared = [case for case in found if case in WITH_RETRAINED]
+    holds["kept"] = len(where["kept"]) == len(compared) if compared else None
     return Findings(rows, holds, lambda figure: draw(figure, found), measured)
 
 
-def _gain(own: Mapping[str, np.ndarray], name: str, over: str) -> tuple[float, float, float]:
+def _gain(own: Mapping[str, np.ndarray], one: int, other: int) -> tuple[float, float, float]:
     """Return the mean gain of a policy over another in the same episodes, with its 95 % interval [%]."""
-    names = (BASELINE, *KINDS)
-    pairs = 100.0 * (own["shares"][names.index(name)] - own["shares"][names.index(over)])
+    pairs = 100.0 * (own["shares"][one] - own["shares"][other])
     return float(pairs.mean()), *mean_interval(pairs, -100.0, 100.0)
 
 
@@ -199,7 +212,7 @@ def draw(figure: Figure, found: Mapping[Case, list[dict[str, np.ndarray]]]) -> N
     for axes, ((task, change), runs) in zip(panels, found.items(), strict=False):
         seconds = runs[0]["seconds"]
         lasts = np.isfinite(runs[0]["curves"]).all(axis=0)
-        for p, (name, color) in enumerate(zip((BASELINE, *KINDS), INKS, strict=False)):
+        for p, (name, color) in enumerate(zip((BASELINE, *kinds_of((task, change))), INKS, strict=False)):
             curves = 100.0 * np.array([own["curves"][p] for own in runs])[:, lasts]
             panel.band(axes, seconds[lasts], panel.extent(curves), color=color, alpha=0.15, label=name)
         axes.axvline(0.0, color=panel.INK, linewidth=0.8, linestyle=":")
