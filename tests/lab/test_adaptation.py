@@ -13,7 +13,7 @@ from myowarp.apps.policies.find import Policy, acting, find_policy
 from myowarp.apps.studies import adaptation, leaderboard
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
-from myowarp.models.conditions import Ramp, Sarcopenia, Uniform
+from myowarp.models.conditions import Ramp, Sarcopenia, TendonTear, Uniform
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.setups import complete
 
@@ -162,7 +162,16 @@ def test_patients_of_a_table_change_each_at_their_time(run, tmp_path):
     ("conditions", "names", "message"),
     [
         ((), ["zero"], r"^observe parameters needs conditions, which have them; got none$"),
-        ((Sarcopenia(0.5),), ["zero"], r"^adapt needs conditions that change while an episode of .* lasts"),
+        (
+            (Sarcopenia(0.5),),
+            ["zero"],
+            r"^adapt needs conditions whose values change in an episode of",
+        ),
+        (
+            (TendonTear("BRA", time=0.5),),
+            ["zero"],
+            r"such as 'tendon_tear\(transmission=Ramp\(1.0, 0.0, onset=0.5\)\)'",
+        ),
         ((Sarcopenia(Ramp(1.0, 0.5, onset=9.0)),), ["zero"], r"of 2 episodes none had a change$"),
         ((BROKEN,), ["zero", "zero"], r"^adapt compares different policies, got 'zero' twice$"),
     ],

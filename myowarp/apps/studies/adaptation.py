@@ -39,6 +39,7 @@ from myowarp.definitions.senses import PARAMETERS
 from myowarp.definitions.setup import Setup
 from myowarp.disk import in_place, make_folder, plain, write_rows
 from myowarp.inks import INKS
+from myowarp.models.conditions import TendonTear
 from myowarp.sim.patient_table import population_of
 from myowarp.sim.simulation import Simulation
 
@@ -208,9 +209,11 @@ def study(
         trail.changed[trail.changed >= trail.length] = -1
     counted = np.all([trail.changed > 0 for trail in trails], axis=0)
     if not counted.any():
+        torn = any(isinstance(condition, TendonTear) for condition in setup.conditions or ())
+        such = "tendon_tear(transmission=Ramp(1.0, 0.0" if torn else "sarcopenia(strength=Ramp(1.0, 0.5"
         raise ValueError(
-            f"adapt needs conditions that change while an episode of {setup.spec.key!r} lasts, such as "
-            f"'sarcopenia(strength=Ramp(1.0, 0.5, onset=0.5))'; of {episodes} episodes none had a change"
+            f"adapt needs conditions whose values change in an episode of {setup.spec.key!r}, such as "
+            f"'{such}, onset=0.5))'; of {episodes} episodes none had a change"
         )
     seen = [trail.of(counted) for trail in trails]
     dt, shares = setup.spec.control_dt, [_share_after(*own) for own in seen]
