@@ -98,7 +98,7 @@ def test_gains_of_adaptation_are_differences_in_the_same_episodes(found):
 
 
 def test_claims_of_adaptation_are_of_every_seed_of_a_change():
-    """Memory gains 10 points with the device in both seeds, 10 and -1 after weakness; retraining solves 75 %."""
+    """Memory gains 10 points with the device in both seeds, 10 and -1 after weakness."""
     rng, told = np.random.default_rng(0), {"weakness": (0.7, 0.8), "device": (0.75, 0.7)}
     shares = {}
     for change, of_memory in {"weakness": (0.7, 0.59), "device": (0.7, 0.7)}.items():
