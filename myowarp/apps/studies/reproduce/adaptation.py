@@ -28,7 +28,6 @@ from myowarp.models.conditions import (
     JointDevice,
     Ramp,
     Sarcopenia,
-    StretchReflex,
     TendonTear,
     TendonTransfer,
     Uniform,
@@ -46,7 +45,7 @@ KINDS: dict[str, dict[str, Any]] = {
     RETRAINED: {"observe": ("parameters",)},
 }
 """How policies of a change are trained: beside its settings what they observe and remember."""
-ELBOW, FINGER = "myoElbowPose1D6MRandom-v0", "myoFingerPoseRandom-v0"
+ELBOW, FINGER = "myoElbowPose1D6MRandom-v0", "myoFingerReachRandom-v0"
 HAND, KEY, HOLD = "myoHandReachRandom-v0", "myoHandKeyTurnFixed-v0", "myoHandObjHoldFixed-v0"
 NAMES = {ELBOW: "elbow", FINGER: "finger", HAND: "hand", KEY: "key", HOLD: "hold"}
 PARALLEL = {"num_worlds": 256, "minibatches": 4}
@@ -59,11 +58,11 @@ SETTINGS: dict[str, dict[str, Any]] = {
 }
 """Settings of a training by task, beside its preset; all kinds have the same."""
 MOMENT = Uniform(0.2, 1.0)  # s
-WEAKNESS, DEVICE, REFLEX, TEAR, TRANSFER = "weakness", "device", "reflex", "tear", "transfer"
+WEAKNESS, DEVICE, TEAR, TRANSFER = "weakness", "device", "tear", "transfer"
 Case = tuple[str, str]
-CHANGES = {ELBOW: (WEAKNESS, DEVICE), FINGER: (REFLEX,), HAND: (REFLEX,), KEY: (TEAR,), HOLD: (TRANSFER,)}
+CHANGES = {ELBOW: (WEAKNESS, DEVICE), FINGER: (WEAKNESS,), HAND: (TRANSFER,), KEY: (TEAR,), HOLD: (TRANSFER,)}
 CASES: tuple[Case, ...] = tuple((task, change) for task, changes in CHANGES.items() for change in changes)
-WITH_RETRAINED = ((ELBOW, WEAKNESS), (ELBOW, DEVICE), (HAND, REFLEX))
+WITH_RETRAINED = ((ELBOW, WEAKNESS), (ELBOW, DEVICE))
 CLAIMS = {BLIND: "trained", TOLD: TOLD, MEMORY: MEMORY}
 """What is claimed of the gains of a kind."""
 SEEDS = (0, 1, 2)
@@ -85,8 +84,6 @@ def change_of(case: Case, *, there: bool = False) -> Condition:
     _, change = case
     if change == WEAKNESS:
         return Sarcopenia(come(1.0, Uniform(0.0, 1.0, each=True)))
-    if change == REFLEX:
-        return StretchReflex(come(0.0, Uniform(1.0, 4.0)), delay=0.1)
     if change == TEAR:
         return TendonTear(transmission=come(1.0, 0.0))
     if change == TRANSFER:
