@@ -158,6 +158,7 @@ docs: $(TEST_STAMP) ## Build the documentation site into out/docs
 	@echo "Open out/docs/index.html"
 
 CHANGED := myowarp/apps/studies/reproduce/policies/changing_myoElbowPose1D6MRandom-v0_device
+TORN := myowarp/apps/studies/reproduce/policies/changing_myoHandKeyTurnFixed-v0_tear
 
 pictures: setup ## Draw every body and task family, and what trained policies do, into docs/pictures
 	$(BIN)/python docs/pictures/contact_sheet.py
@@ -166,6 +167,9 @@ pictures: setup ## Draw every body and task family, and what trained policies do
 	$(BIN)/myowarp record myoElbowPose1D6MRandom-v0 --policy $(CHANGED)_memory/0 --beside-policy $(CHANGED)_blind/0 \
 	--conditions 'joint_device(stiffness=0.0, assistance=Ramp(0.0, 2.0, onset=0.6), delay=0.1)' --seed 1 \
 	--size 360 270 --fps 25 --output docs/pictures/adaptation.gif --overwrite
+	$(BIN)/myowarp record myoHandKeyTurnFixed-v0 --policy baseline --beside-policy $(TORN)_blind/0 --seed 1 \
+	--conditions 'tendon_tear(transmission=Ramp(1.0, 0.0, onset=0.3))' --physics parity --steps 70 \
+	--size 360 270 --fps 20 --output docs/pictures/tear.gif --overwrite
 	$(BIN)/myowarp cohort examples/elbow_cohort.csv --task myoElbowPose1D6MFixed-v0 --reset fixed --steps 500 --output out/cohort --overwrite
 	$(BIN)/myowarp plot assistance out/cohort --output docs/pictures/assistance.png --overwrite
 

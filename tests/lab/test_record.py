@@ -124,6 +124,8 @@ def test_titles_are_what_tells_policies_apart():
     assert told_apart(["runs/a/0", "runs/b/1"]) == ["a/0", "b/1"]
     assert told_apart(["baseline", "runs/memory"]) == ["baseline", "runs/memory"]
     assert told_apart(["hold", "hold"]) == ["hold", "hold"]
+    folder = "runs/of_a_long_name/changing_key_tear_blind/0"
+    assert told_apart(["baseline", folder]) == ["baseline", "...g_name/changing_key_tear_blind/0"]
 
 
 @pytest.mark.slow

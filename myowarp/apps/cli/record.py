@@ -178,10 +178,13 @@ class Record:
         console.print(f"Saved {self.output}")
 
 
+LONGEST = 32  # characters of a title
+
+
 def told_apart(names: list[str]) -> list[str]:
-    """Return names of policies without the folders that they have in common, to leave room in a picture."""
+    """Return names of policies as a picture has room for: without common folders, the ends of long ones."""
     parts = [Path(name).parts for name in names]
     if len({len(own) for own in parts}) > 1:
-        return names
+        return [name if len(name) <= LONGEST else f"...{name[-LONGEST:]}" for name in names]
     differ = [len(set(level)) > 1 for level in zip(*parts, strict=True)]
     return ["/".join(compress(own, differ)) or name for name, own in zip(names, parts, strict=True)]
