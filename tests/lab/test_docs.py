@@ -19,7 +19,7 @@ import recordings
 from socket_client import Client, until
 
 import myowarp
-from benchmarks import readme, result_pages
+from benchmarks import cohort_columns, readme, result_pages
 from myowarp import extras, motion
 from myowarp.apps.cli import main as cli
 from myowarp.apps.studies.audit import tasks as audit_command
@@ -121,6 +121,13 @@ def test_readmes_results_are_those_of_the_measurements():
 @pytest.mark.parametrize("name", result_pages.FIELDS)
 def test_pages_of_results_are_those_of_the_measurements(name):
     assert (result_pages.PAGES / f"{name}.md").read_text() == result_pages.page(name)
+
+
+def test_conditions_lists_the_columns_of_cohorts():
+    """With what each takes, as the columns themselves say it."""
+    assert cohort_columns.PAGE.read_text() == cohort_columns.page()
+    strength = next(line for line in cohort_columns.page().splitlines() if line.startswith("| `strength` "))
+    assert re.search(r"share from 0 to 4, .*drawn, changing", strength)
 
 
 def test_numbers_of_results_are_read_as_they_are_written():

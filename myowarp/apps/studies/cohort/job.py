@@ -112,7 +112,8 @@ def figures(result: CohortResult) -> Table:
         unit = settings["units"]["final_error"]
         rows["error in the last quarter"] = f"{middle:.3g} {unit} (middle half {low:.3g} to {high:.3g})"
     rows["mean activation"] = f"{summary['mean_activation'].mean():.3f}"
-    known = {name: summary[name].mean() for name in settings["units"] if name in ECONOMY}
+    walks = "speed" in settings["units"]  # rates of a part of a person are in the files alone
+    known = {name: summary[name].mean() for name in ECONOMY if walks}
     rows |= {heading(name, settings["body_mass"]): number(mean) for name, mean in known.items()}
     rows["faults"] = str(summary["fault"].notna().sum())
     return terminal((), rows.items())
