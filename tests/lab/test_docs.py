@@ -14,6 +14,7 @@ import threading
 import tomllib
 from pathlib import Path
 
+import gymnasium
 import pytest
 import recordings
 from socket_client import Client, until
@@ -284,6 +285,13 @@ def found():
     return {}
 
 
+def save_agent(folder):
+    """Save what a user has trained with Stable-Baselines3; here it has not learned yet."""
+    trainer = pytest.importorskip("stable_baselines3")
+    env = gymnasium.make_vec("MyoWarp/myoElbowPose1D6MRandom-v0", 2, autoreset_mode="SameStep")
+    trainer.PPO("MlpPolicy", myowarp.Sb3VecEnv(env), device="cpu").save(folder / "agent")
+
+
 def prepare(folder, page, lines):
     """Put into a folder what the commands of a block name; study and cohort are made small."""
     (folder / "tests").mkdir()
@@ -295,6 +303,10 @@ def prepare(folder, page, lines):
     patients.write_text("".join(patients.read_text().splitlines(keepends=True)[:PATIENTS]))
     shutil.copy(ROOT / "tests/data/osim/arm26.osim", folder)
     (folder / "my_tasks.py").write_text("".join(blocks(page, "python")))
+    if any("my_agent.py" in line for line in lines):
+        save_agent(folder)
+        (own,) = (block for block in blocks(page, "python") if "def act(obs)" in block)
+        (folder / "my_agent.py").write_text(own)
     if any("gait.osim" in line for line in lines):
         recordings.write_gait(folder)
     if any("walk.c3d" in line for line in lines):
@@ -386,6 +398,8 @@ def test_every_snippet_runs(page, tmp_path, monkeypatch, run):
         if "Sb3VecEnv" in snippet:
             pytest.importorskip("stable_baselines3")
             pytest.importorskip("rsl_rl")
+        if "PPO.load" in snippet:
+            save_agent(tmp_path)
         file = tmp_path / f"snippet_{number}.py"
         file.write_text(re.sub(r"(num_envs=|, )(256|64)\b", r"\g<1>8", snippet))
         names |= runpy.run_path(str(file), names)
