@@ -23,8 +23,8 @@ which a force turns as much as a torque from which that is."""
 LOADED = 0.5
 """Share of a load's greatest force from which its centre of pressure is looked at."""
 MOSTLY = 0.5
-"""Share of these frames from which a load lies under the body that it is nearer to; the other foot swings past
-the one that stands in fewer."""
+"""Share of these frames from which a load lies under another body, being nearer to it; the foot that swings
+past the one that stands is nearer in fewer."""
 PUSHING = 0.25
 """Share of the weight from which loads are said to carry the model."""
 OTHER = 0.1
