@@ -13,7 +13,9 @@ def row(name: str, column: CohortColumn) -> tuple[str, ...]:
     """Return what the table says of a column."""
     more = ["drawn"] * column.draws + ["changing"] * column.changes
     more += [f"empty where `{column.of}` is"] * bool(column.of)
-    return f"`{name}`", column.label, column.expected(), f"`{column.condition}`", ", ".join(more)
+    meaning = f"{column.label} [{column.unit}]" if column.unit else column.label
+    entry = column.expected().removesuffix(f" {column.unit}")
+    return f"`{name}`", meaning, entry, f"`{column.condition}`", ", ".join(more)
 
 
 def page() -> str:
