@@ -3,13 +3,12 @@
 from statistics import fmean
 from typing import Any
 
-from benchmarks.result_pages import ROOT, TEXTS, rates, read
+from benchmarks.result_pages import ROOT, TEXTS, rates, read, renewed
 from myowarp.apps.policies.baselines import load_baseline
 from myowarp.disk import in_place
 from myowarp.kernels.episode import MYOSUITE
 
 README = ROOT / "README.md"
-BEGIN, END = "<!-- written by: python -m benchmarks.readme -->\n", "<!-- end of what is written -->"
 EASY = (
     *("myoElbowPose1D6MFixed-v0", "myoElbowPose1D6MRandom-v0", "myoFingerPoseFixed-v0"),
     *("myoFingerPoseRandom-v0", "myoFingerReachFixed-v0", "myoHandPoseFixed-v0", "myoHandReachFixed-v0"),
@@ -23,7 +22,7 @@ HARD = {
     "myoHandPoseRandom-v1": "hand pose (`-v1`)",
     "myoHandKeyTurnRandom-v0": "key turn",
 }
-MARKS = {"*": "strictly of one seed, which may exceed the mean", "–": "not counted"}
+MARKS = {"*": "the strict rule was counted in one seed only", "–": "not counted"}
 LEARNED = 95.0  # percent of the episodes
 ALIKE = 1e-5
 
@@ -63,6 +62,7 @@ def speed() -> dict[str, float]:
         "slowest": min(pool),
         "fastest": max(pool),
         "rounds": rivals["rounds"],
+        "families": len(pool),
     }
 
 
@@ -122,10 +122,8 @@ def opensim() -> dict[str, float]:
 
 def page() -> str:
     """Return README with the results made anew."""
-    before, _, rest = README.read_text().partition(BEGIN)
     text = (TEXTS / "readme.md").read_text()
-    table = text.format(**speed(), **learning(), **opensim(), **parity())
-    return f"{before}{BEGIN}\n{table}\n{END}{rest.partition(END)[2]}"
+    return renewed(README, "benchmarks.readme", text.format(**speed(), **learning(), **opensim(), **parity()))
 
 
 if __name__ == "__main__":

@@ -38,6 +38,13 @@ def read(name: str) -> dict[str, Any]:
     return result
 
 
+def renewed(page: Path, program: str, text: str) -> str:
+    """Return a page with another text in the place that a program writes."""
+    begin, end = f"<!-- written by: python -m {program} -->\n", "<!-- end of what is written -->"
+    before, _, rest = page.read_text().partition(begin)
+    return f"{before}{begin}\n{text}\n{end}{rest.partition(end)[2]}"
+
+
 def number(value: float, digits: int = 2) -> str:
     """Return a number in so many significant digits; from a hundred on without an exponent."""
     rounded = float(f"{value:.{digits}g}")

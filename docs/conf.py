@@ -27,7 +27,7 @@ html_css_files, html_js_files = ["pages.css"], ["copy.js"]
 default_role = "code"  # what stands in single backticks in a docstring
 myst_heading_anchors = 3
 autodoc_member_order = "bysource"
-LONG = 16  # rows of a table that is folded
+LONG = 17  # rows of a table that is folded
 NAME = re.compile(r"^- `([\w.]+)`(, with .*|: .*)?$", re.M)
 """A name in the list of the reference, with its members or what it is."""
 DESCRIPTION = 160  # characters that search engines show

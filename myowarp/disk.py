@@ -458,6 +458,11 @@ def _checked(data: bytes) -> bytes:
     return data[size:]
 
 
+def delimiter_of(line: str) -> str:
+    """Return what separates the cells of a .csv, by its first line: comma, semicolon or tab."""
+    return max(",;\t", key=line.count)
+
+
 def number_in(cell: str) -> float:
     """Return the number that a cell of a table holds, as one would write it.
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,7 +22,7 @@ import numpy as np
 from myowarp.definitions.muscle import MUSCLES, muscle_index
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.worlds import Worlds
-from myowarp.disk import number_in
+from myowarp.disk import delimiter_of, number_in
 from myowarp.kernels.write import is_finite
 from myowarp.laws.muscles.hill_law import OPENSIM_LAWS, SCHUTTE_CLASS
 
@@ -76,7 +77,7 @@ class MuscleTable:
     def read(cls, model: str, path: str | Path | None) -> MuscleTable:
         """Return a table from a .csv: column `muscle`, and one for each parameter, empty where none is given.
 
-        Without a file every parameter is the compiled model's.
+        Comma, semicolon or tab separates. Without a file every parameter is the compiled model's.
 
         Raises:
             ValueError: The file is no such table.
@@ -95,7 +96,9 @@ class MuscleTable:
     def _read(cls, model: str, path: str | Path) -> MuscleTable:
         """Return the table in a file."""
         with Path(path).open(encoding="utf-8-sig", newline="") as file:
-            lines = csv.DictReader(file, restval="")
+            first = file.readline()
+            whole = itertools.chain([first], file)
+            lines = csv.DictReader(whole, restval="", delimiter=delimiter_of(first))
             columns = list(lines.fieldnames or ())
             if "muscle" not in columns:
                 raise ValueError(f"{path} must have a column 'muscle', got {', '.join(columns) or 'none'}")

@@ -6,10 +6,13 @@ loaded. Files without a list were left by other programs or an older version, an
 """
 
 import contextlib
+import functools
 import hashlib
 import json
+import re
 import shutil
 import tempfile
+import time
 from pathlib import Path
 
 import warp as wp
@@ -19,6 +22,11 @@ from myowarp.process import warn_once
 
 SUMS = "myowarp.json"
 SOURCES = (".cpp", ".cu")  # are not read again
+
+BUILD = re.compile(r".+_p\d+_t\d+")
+"""Folder in which a process and its thread compile a module, before Warp moves it into place."""
+ABANDONED = 86_400.0
+"""Time without a change after which nobody compiles there [s]; a cache may be shared between machines."""
 
 _sound: set[tuple[Path, str]] = set()
 """Folder and device of what this process has compared."""
@@ -46,12 +54,23 @@ def load_module(module: wp.Module, device: wp.Device, block_dim: int) -> Path | 
     if damaged:
         _remove(folder)
         listed = None
+    if listed is None:
+        _sweep(folder.parent)
     wp.force_load(device, [module], block_dim)
     if listed is None or len(listed) != len(_files(folder)):  # for another device, there are more now
         with contextlib.suppress(OSError), in_place(folder / SUMS) as scratch:
             scratch.write_text(json.dumps(_sums(folder)))
     _sound.add((folder, device.alias))
     return folder if damaged else None
+
+
+@functools.cache
+def _sweep(cache: Path) -> None:
+    """Delete folders in which processes that were killed have compiled."""
+    with contextlib.suppress(OSError):
+        for folder in filter(lambda path: BUILD.fullmatch(path.name), list(cache.iterdir())):
+            if time.time() - folder.stat().st_mtime > ABANDONED:
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 def _listed(folder: Path) -> dict[str, str] | None:

@@ -22,6 +22,9 @@ FAR = 0.5
 which a force turns as much as a torque from which that is."""
 LOADED = 0.5
 """Share of a load's greatest force from which its centre of pressure is looked at."""
+MOSTLY = 0.5
+"""Share of these frames from which a load lies under another body, being nearer to it; the foot that swings
+past the one that stands is nearer in fewer."""
 PUSHING = 0.25
 """Share of the weight from which loads are said to carry the model."""
 OTHER = 0.1
@@ -136,23 +139,30 @@ def carried(bones: Bones, needed: Needed, loads: Sequence[Load]) -> tuple[float,
 
 
 def astray(bones: Bones, needed: Needed, loads: Sequence[Load]) -> Iterator[str]:
-    """Yield which recorded loads act far from their bodies, or turn them more than their forces can.
+    """Yield which recorded loads act under another's body or far from their own, or turn it too much.
 
     Args:
         bones: The model.
         needed: Where bodies are.
         loads: Those of a recording bear names; others are the model's own.
     """
-    for load in loads:
-        size, body = np.linalg.norm(load.force, axis=1), bones.number(load.body)
-        if not load.name or body < 0 or not size.any():
-            continue
-        point, frame = load.point, bones.number(load.point_frame)
-        if frame >= 0:
+    own = [one for one in loads if one.name and bones.number(one.body) >= 0 and one.force.any()]
+    for load in own:
+        size, point = np.linalg.norm(load.force, axis=1), load.point
+        if (frame := bones.number(load.point_frame)) >= 0:
             turned = np.einsum("fij,fj->fi", needed.rotation[:, frame], point)
             point = needed.origin[:, frame] + turned
-        off = np.linalg.norm(point - needed.origin[:, body], axis=1)
-        if (most := float(off[size >= LOADED * size.max()].max())) > FAR:
+        pushing = size >= LOADED * size.max()
+        off = {
+            one.body: np.linalg.norm(point - needed.origin[:, bones.number(one.body)], axis=1)[pushing]
+            for one in own
+        }
+        nearer = {body: float((away < off[load.body]).mean()) for body, away in off.items()}
+        other, most = max(nearer, key=nearer.__getitem__), float(off[load.body].max())
+        if nearer[other] > MOSTLY:
+            where = f"nearer to {other} in {100.0 * nearer[other]:.0f} % of the frames in which it pushes"
+            yield f"{load.name!r} acts on {load.body} and lies {where}: are left and right swapped?"
+        elif most > FAR:
             place = f"the centre of pressure of {load.name!r} is {most:.2g} m from {load.body}"
             yield f"{place}: wrong foot or unit?"
         if (turning := float(np.linalg.norm(load.torque, axis=1).max())) > FAR * size.max():

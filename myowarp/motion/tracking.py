@@ -305,7 +305,9 @@ def track(
         bones = controlled(bones, controls)
     coordinates = bones.coordinates
     if missing := [name for name in coordinates if not reserves.get(name, 0.0) > 0.0]:
-        raise ValueError(f"tracking needs a reserve on every coordinate; {missing[0]!r} has none")
+        raise ValueError(
+            f"tracking needs a reserve on every coordinate, such as --reserve 1; {missing[0]!r} has none"
+        )
     names = tuple(name for name, muscle in bones.model.muscles.items() if muscle.applies_force)
     factors = np.ones((1, len(names))) if strength is None else np.atleast_2d(strength)
     muscles = _Muscles(bones, names, factors)

@@ -27,10 +27,7 @@ SOURCES = dict(zip(LAWS, ("Bhargava 2004", "Umberger 2010"), strict=True))
 LEAST_SPEED = 0.1
 """m/s: what is slower does not walk, and has no cost of transport."""
 ABSURD_RATE = 20.0
-"""W/kg: people spend as much at 5 m/s, as running costs 4 J/kg/m (Margaria 1963, J Appl Physiol 18:367).
-
-An arm without its trunk is mostly muscle at work, and may exceed it.
-"""
+"""W/kg: people spend as much at 5 m/s, as running costs 4 J/kg/m (Margaria 1963, J Appl Physiol 18:367)."""
 
 
 def free_root(model: mujoco.MjModel) -> int:
@@ -109,30 +106,17 @@ def word(name: str) -> str:
 
 
 def heading(name: str, mass: float | None) -> str:
-    """Return a figure and its unit, for people; the model's mass [kg] stands beside a rate per kilogram.
-
-    The model may be a part of a person, such as an arm.
-    """
+    """Return a figure and its unit, for people; the model's mass [kg] stands beside a rate per kilogram."""
     of = f" of the model, {mass:.3g} kg" if mass is not None and UNITS[name] == "W/kg" else ""
     return f"{word(name)} [{UNITS[name]}{of}]"
 
 
 def doubt(figures: Mapping[str, float | None]) -> str:
-    """Return, in a sentence, that a metabolic rate is above `ABSURD_RATE`; "" where none is.
-
-    Where no root is free the model is a part of a person, and its mass is that part's bones alone.
-    """
+    """Return, in a sentence, that the metabolic rate of a walk is above `ABSURD_RATE`; "" where none is."""
     speed, *rates = (figures.get(name) for name in ("speed", *(f"{law}_per_kg" for law in LAWS)))
     most = max((rate for rate in rates if rate is not None and np.isfinite(rate)), default=0.0)
-    if most <= ABSURD_RATE:
+    if speed is None or most <= ABSURD_RATE:
         return ""
-    if speed is None:
-        mass = figures.get("body_mass")
-        own = "" if mass is None else f", {mass:.3g} kg"
-        return (
-            f"up to {most:,.0f} W/kg is no person's: the mass is that of the model's few bones{own}; "
-            "read the rate in W"
-        )
     return (
         f"absurd metabolic rate: up to {most:.1f} W/kg, where a person who runs at 5 m/s spends "
         f"{ABSURD_RATE:g}; do not compare it with people"

@@ -82,7 +82,7 @@ class CohortColumn:
 
     def expected(self) -> str:
         """Return what an entry has to be."""
-        span = f">= {self.low:g}" if self.high == INF else f"in {self.low:g}..{self.high:g}"
+        span = f">= {self.low:g}" if self.high == INF else f"from {self.low:g} to {self.high:g}"
         return f"a number {span}" + (f" {self.unit}" if self.unit else "")
 
     def course_expected(self) -> str:
@@ -149,7 +149,7 @@ class Share(CohortColumn):
 
     def expected(self) -> str:
         """Return what an entry has to be."""
-        return f"a share in {self.low:g}..{self.high:g}, such as 0.3 for 30 %"
+        return f"a share from {self.low:g} to {self.high:g}, such as 0.3 for 30 %"
 
 
 @dataclass(frozen=True)

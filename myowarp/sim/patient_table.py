@@ -15,6 +15,7 @@ from myowarp.definitions.condition import resolve
 from myowarp.definitions.muscle import muscle_names
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TaskSpec
+from myowarp.disk import delimiter_of
 from myowarp.extras import to_install
 from myowarp.process import warn_once
 from myowarp.sim.build import oracle_model
@@ -27,7 +28,6 @@ PATIENT = "patient"
 """Column of the patients' names; without it they are called 1, 2, 3..."""
 
 TABLES = (".csv", ".parquet")
-DELIMITERS = ",;\t"
 INVISIBLE = ("Cc", "Cf", "Cs", "Zl", "Zp")  # categories of Unicode: they change how other text is shown
 JOINERS = "\u200c\u200d"  # of Persian and Indic names
 
@@ -167,8 +167,7 @@ def _csv(path: Path, what: str) -> tuple[list[str], list[list[Any]]]:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(f"{what} table {str(path)!r} is not UTF-8 text ({error})") from error
-    first = text.partition("\n")[0]
-    delimiter = max(DELIMITERS, key=first.count)
+    delimiter = delimiter_of(text.partition("\n")[0])
     try:
         rows = list(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter))
     except csv.Error as error:

@@ -142,6 +142,19 @@ def test_what_another_program_left_is_taken_over(folder, caplog):
     assert not caplog.records
 
 
+def test_a_killed_compilation_is_swept_after_a_day(tmp_path, monkeypatch):
+    """What another process may still compile, here or on another machine, stays; so do modules."""
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    days = {"wp_one_0a_p17_t140": 2.0, "wp_two_0b_p17_t140": 0.5, "wp_three_0c": 90.0}
+    for name, age in days.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "wp_module.cpp").write_text("")
+        os.utime(tmp_path / name, (time.time() - 86_400.0 * age,) * 2)
+    assert loaded() == RIGHT
+    assert {path.name for path in tmp_path.glob("wp_t*_0*")} == {"wp_two_0b_p17_t140", "wp_three_0c"}
+    assert not (tmp_path / "wp_one_0a_p17_t140").exists()
+
+
 def test_what_cannot_be_removed_is_an_error(folder, monkeypatch):
     (folder / kernel_cache.SUMS).write_text("{}")
 

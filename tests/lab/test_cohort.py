@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import re
 from functools import partial
 
 import numpy as np
@@ -349,6 +350,8 @@ def test_command(command, five, tmp_path):
     pd.testing.assert_frame_equal(pd.read_parquet(out / "results.parquet"), five.samples)
     assert (out / "plot.png").read_bytes().startswith(b"\x89PNG")
     assert "error in the last quarter" in printed
+    bare = 100 * five.summary.loc[five.summary["exo_assistance"] == 0.0, "success_last"].mean()
+    assert re.search(rf"by exo_assistance +│ {bare:.0f} % \(0\), ", printed)
     assert "5 patients" in err
 
 

@@ -192,34 +192,36 @@ def test_names_of_muscles_may_lack_their_side():
     [
         (
             "strength\n1\n\n-0.5\n",
-            r"^cohort row 2 \(patient '2'\), column 'strength': needs a share in 0\.\.4, such as 0\.3 for "
+            r"^cohort row 2 \(patient '2'\), column 'strength': needs a share from 0 to 4, such as 0\.3 for "
             r"30 %, got '-0\.5'$",
         ),
         (
             "exo_assistance\n40\n",
-            r"^cohort row 1 \(patient '1'\), column 'exo_assistance': needs a share in 0\.\.4, such as 0\.3 "
-            r"for 30 %, got '40'$",
+            r"^cohort row 1 \(patient '1'\), column 'exo_assistance': needs a share from 0 to 4, such as "
+            r"0\.3 for 30 %, got '40'$",
         ),
         (
             "patient,strength\nA,\n",
-            r"^cohort row 1 \(patient 'A'\), column 'strength': needs a share in 0\.\.4, such as 0\.3 for "
+            r"^cohort row 1 \(patient 'A'\), column 'strength': needs a share from 0 to 4, such as 0\.3 for "
             r"30 %, got nothing$",
         ),
         (
             "patient;load_mass\nA;0,5\n",
-            r"^cohort row 1 \(patient 'A'\), column 'load_mass': needs a number in 0\.\.100 kg, got '0,5'$",
+            r"^cohort row 1 \(patient 'A'\), column 'load_mass': needs a number from 0 to 100 kg, got '0,5'$",
         ),
         (
             "patient,load_mass\nA,2500\n",
-            r"^cohort row 1 \(patient 'A'\), column 'load_mass': needs a number in 0\.\.100 kg, got '2500'$",
+            r"^cohort row 1 \(patient 'A'\), column 'load_mass': needs a number from 0 to 100 kg, "
+            r"got '2500'$",
         ),
         (
             "patient,initial_fatigue\nA,0\nB,1.5\n",
-            r"^cohort row 2 \(patient 'B'\), column 'initial_fatigue': needs a number in 0\.\.1, got '1\.5'$",
+            r"^cohort row 2 \(patient 'B'\), column 'initial_fatigue': needs a number from 0 to 1, "
+            r"got '1\.5'$",
         ),
         (
             "patient,fatigue_rate\nA,inf\n",
-            r"^cohort row 1 \(patient 'A'\), column 'fatigue_rate': needs a number in 0\.\.10 1/s, "
+            r"^cohort row 1 \(patient 'A'\), column 'fatigue_rate': needs a number from 0 to 10 1/s, "
             r"got 'inf'$",
         ),
         (

@@ -14,12 +14,13 @@ import threading
 import tomllib
 from pathlib import Path
 
+import gymnasium
 import pytest
 import recordings
 from socket_client import Client, until
 
 import myowarp
-from benchmarks import readme, result_pages
+from benchmarks import cohort_columns, readme, result_pages
 from myowarp import extras, motion
 from myowarp.apps.cli import main as cli
 from myowarp.apps.studies.audit import tasks as audit_command
@@ -121,6 +122,13 @@ def test_readmes_results_are_those_of_the_measurements():
 @pytest.mark.parametrize("name", result_pages.FIELDS)
 def test_pages_of_results_are_those_of_the_measurements(name):
     assert (result_pages.PAGES / f"{name}.md").read_text() == result_pages.page(name)
+
+
+def test_conditions_lists_the_columns_of_cohorts():
+    """With what each takes, as the columns themselves say it."""
+    assert cohort_columns.PAGE.read_text() == cohort_columns.page()
+    strength = next(line for line in cohort_columns.page().splitlines() if line.startswith("| `strength` "))
+    assert re.search(r"share from 0 to 4, .*drawn, changing", strength)
 
 
 def test_numbers_of_results_are_read_as_they_are_written():
@@ -277,6 +285,13 @@ def found():
     return {}
 
 
+def save_agent(folder):
+    """Save what a user has trained with Stable-Baselines3; here it has not learned yet."""
+    trainer = pytest.importorskip("stable_baselines3")
+    env = gymnasium.make_vec("MyoWarp/myoElbowPose1D6MRandom-v0", 2, autoreset_mode="SameStep")
+    trainer.PPO("MlpPolicy", myowarp.Sb3VecEnv(env), device="cpu").save(folder / "agent")
+
+
 def prepare(folder, page, lines):
     """Put into a folder what the commands of a block name; study and cohort are made small."""
     (folder / "tests").mkdir()
@@ -288,6 +303,10 @@ def prepare(folder, page, lines):
     patients.write_text("".join(patients.read_text().splitlines(keepends=True)[:PATIENTS]))
     shutil.copy(ROOT / "tests/data/osim/arm26.osim", folder)
     (folder / "my_tasks.py").write_text("".join(blocks(page, "python")))
+    if any("my_agent.py" in line for line in lines):
+        save_agent(folder)
+        (own,) = (block for block in blocks(page, "python") if "def act(obs)" in block)
+        (folder / "my_agent.py").write_text(own)
     if any("gait.osim" in line for line in lines):
         recordings.write_gait(folder)
     if any("walk.c3d" in line for line in lines):
@@ -379,6 +398,8 @@ def test_every_snippet_runs(page, tmp_path, monkeypatch, run):
         if "Sb3VecEnv" in snippet:
             pytest.importorskip("stable_baselines3")
             pytest.importorskip("rsl_rl")
+        if "PPO.load" in snippet:
+            save_agent(tmp_path)
         file = tmp_path / f"snippet_{number}.py"
         file.write_text(re.sub(r"(num_envs=|, )(256|64)\b", r"\g<1>8", snippet))
         names |= runpy.run_path(str(file), names)

@@ -121,6 +121,16 @@ def test_a_panel_for_each_column(tmp_path):
     )
 
 
+def test_a_page_that_takes_long_says_so(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("myowarp.apps.reports.motion.PATIENCE", 0.0)
+    table(tmp_path, "activations.sto", soleus=TIME, gastroc=0.2)
+    table(tmp_path, "moments.sto", knee_angle_r_moment=30 * TIME)
+    page(tmp_path, read_model(LEG))
+    said = capsys.readouterr().err
+    assert "Drawing: 0 of 2 tables so far" in said
+    assert "2/2 tables" in said
+
+
 def test_the_command(tmp_path):
     arm, motion = (Path(__file__).parents[2] / "examples" / name for name in ("arm.osim", "arm_bend.mot"))
     Dynamics(arm, motion=motion, filter=6.0, output=tmp_path / "out")()

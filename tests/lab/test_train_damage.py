@@ -1,6 +1,7 @@
 """Runs of `myowarp train` whose files were damaged, edited or copied: what is refused, and what goes on."""
 
 import csv
+import io
 import json
 import os
 import pickle
@@ -9,10 +10,12 @@ import shutil
 
 import numpy as np
 import pytest
+from rich.console import Console
 from tiny_runs import ELBOW, TINY, said
 
 from myowarp.apps.policies import checkpoint as checkpoints
 from myowarp.apps.policies.learned import LearnedPolicy, read_policy
+from myowarp.apps.train.progress import Progress
 from myowarp.definitions.task import TASKS
 
 
@@ -243,3 +246,24 @@ def test_a_manifest_without_an_entry_is_refused(copy):
     rewrite(copy, lambda manifest: manifest["contract"]["columns"].append(["more", -1, "1"]))
     with pytest.raises(checkpoints.CheckpointError, match=r"contract.columns\[4\]\[1\] must be a count"):
         checkpoints.load_checkpoint(copy)
+
+
+@pytest.mark.parametrize(
+    ("width", "last"),
+    [(50, "success 95 %"), (80, "12,500 samples/s"), (250, "% of the time"), (None, "time")],
+)
+def test_the_live_line_has_the_parts_that_fit(width, last, tmp_path, monkeypatch):
+    """Whole parts, the most important first; a log, which has no width, has them all."""
+    now = iter((0.0, *[80.0] * 9))
+    monkeypatch.setattr("myowarp.apps.train.progress.time.monotonic", lambda: next(now))
+    shown = io.StringIO()
+    console = Console(file=shown, force_terminal=width is not None, width=width, soft_wrap=True)
+    row = {"samples": 1e6, "return": 1234.5, "success": 0.95, "success_last": 0.9, "success_any": 0.99}
+    row |= {"share_simulation": 0.7, "share_learner": 0.2, "share_rest": 0.1}
+    with Progress(tmp_path, 3_000_000, console) as progress:
+        progress.add(row)
+    plain = re.sub(r"\x1b\[[?\d;]*[a-zA-Z]", "", shown.getvalue())
+    (line,) = {*filter(None, map(str.strip, plain.splitlines()))}
+    assert line.startswith("1.00 of 3.00 M samples  2:40 left")
+    assert line.endswith(last)
+    assert width is None or len(line) <= width

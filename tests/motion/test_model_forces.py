@@ -410,6 +410,24 @@ def test_torques_in_newton_millimetres_are_doubted(factor, doubts):
         assert said == doubts * [f"the torque of 'plate' goes to {sizes}: is it in N mm?"]
 
 
+@pytest.mark.parametrize("swapped", [0, 1, 3, 4])
+def test_a_force_under_the_other_foot_names_it(swapped):
+    """Of four frames the right foot's force lies under the left foot in some; a light one does not count."""
+    bones = Bones.read(DATA / "osim/gait10dof18musc.osim", "cpu")
+    still = np.array([[bones.model.coordinates[name].default for name in bones.coordinates]] * 5)
+    needed = inverse_dynamics(bones, still, 0 * still, 0 * still)
+    feet = {name: needed.origin[:, bones.number(name)] for name in ("calcn_r", "calcn_l")}
+    force = np.outer([700.0] * 4 + [300.0], [0.0, 1.0, 0.0])
+    point = np.concatenate([feet["calcn_l"][:swapped], feet["calcn_r"][swapped:4], feet["calcn_l"][4:]])
+    rest = 0 * force, "ground", "ground"
+    loads = [
+        Load("calcn_r", force, point, *rest, "right"), Load("calcn_l", force, feet["calcn_l"], *rest, "left")
+    ]  # fmt: skip
+    said = f"'right' acts on calcn_r and lies nearer to calcn_l in {25 * swapped} % of the frames in which it"
+    expected = [f"{said} pushes: are left and right swapped?"] if swapped > 2 else []
+    assert [*astray(bones, needed, loads)] == expected
+
+
 @pytest.mark.parametrize(("factor", "share"), [(1.0, 0), (0.97, 3), (1.25, 25), (-1.0, 200), (1e-3, 100)])
 @pytest.mark.parametrize("off", [0.2, 0.9])
 def test_what_loads_leave_at_the_root_is_said(tmp_path, caplog, capsys, factor, share, off):

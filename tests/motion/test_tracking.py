@@ -193,7 +193,10 @@ def test_the_command(bones, tmp_path, capsys, caplog):
     assert "reserve at" in said
     warn_once.cache_clear()
     for change, message in (
-        ({"reserve": 0.0}, "tracking needs a reserve on every coordinate; 'r_shoulder_elev' has none"),
+        (
+            {"reserve": 0.0},
+            "tracking needs a reserve on every coordinate, such as --reserve 1; 'r_shoulder_elev' has none",
+        ),
         ({"strength": ("BIC=90",)}, "muscle 'BIC' unknown; available: TRIlong"),
         ({"gain": ("wrist=9",)}, "gain of 'wrist': unknown; available: r_shoulder_elev, r_elbow_flex"),
         ({"gain": ("r_elbow_flex=0",)}, "the gain of 'r_elbow_flex' must be above 0 and finite, got 0"),

@@ -1,5 +1,6 @@
 """The command `myowarp motion` on files, against what OpenSim 4.6 recorded."""
 
+import functools
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,6 +14,7 @@ from myowarp.apps.cli.motion.forces import FILES, Forces
 from myowarp.apps.cli.motion.kinematics import Kinematics
 from myowarp.apps.cli.motion.report import Report
 from myowarp.apps.cli.motion.steps import RENEWED, absent_from
+from myowarp.motion import steps
 from myowarp.motion.markers import Markers, say_unmatched, write_trc
 from myowarp.motion.movement import read_motion, write_angles
 from myowarp.motion.storage import Storage, read_storage, write_storage
@@ -21,6 +23,7 @@ from myowarp.osim.document.read.model import read_model
 
 DATA = Path(__file__).parents[1] / "data"
 GAIT, LEG = (DATA / "osim" / f"{name}.osim" for name in ("gait10dof18musc", "leg6dof9musc"))
+ARM, BEND = (DATA.parents[1] / "examples" / name for name in ("arm.osim", "arm_bend.mot"))
 DIGITS = 1e-5
 """Share of the greatest value: nine digits in files, twice differentiated."""
 
@@ -178,35 +181,54 @@ def test_bad_input_is_one_sentence(gait, change, message):
 
 def test_residuals_need_a_root(tmp_path):
     """An arm hangs on a wall: nothing carries it through space."""
-    arm, bend = (DATA.parents[1] / "examples" / name for name in ("arm.osim", "arm_bend.mot"))
     with pytest.raises(ValueError, match="--residual is of coordinates that carry a model through space; "):
-        Forces(arm, motion=bend, residual=5.0, output=tmp_path / "out")()
+        Forces(ARM, motion=BEND, residual=5.0, output=tmp_path / "out")()
     assert not (tmp_path / "out").exists()
 
 
 def test_a_step_renews_what_an_earlier_one_wrote(tmp_path, monkeypatch, capsys):
     """`dynamics`, `forces`, `analyze`, `report` into one folder; what others wrote there stays."""
-    arm, bend = (DATA.parents[1] / "examples" / name for name in ("arm.osim", "arm_bend.mot"))
     monkeypatch.setattr("myowarp.apps.reports.motion.page", lambda *rest: RENEWED["report.html"])
-    folder, options = tmp_path, {"motion": bend, "output": tmp_path / "out"}
-    Dynamics(arm, **options)()
+    folder, options = tmp_path, {"motion": BEND, "output": tmp_path / "out"}
+    Dynamics(ARM, **options)()
     rough = (folder / "out/moments.sto").read_bytes()
     assert "replaces" not in capsys.readouterr().err
-    Forces(arm, **options, filter=6.0)()
+    Forces(ARM, **options, filter=6.0)()
     assert f"An earlier step wrote moments.sto in {folder / 'out'}; this one replaces it" in (
         capsys.readouterr().err
     )
     smooth = (folder / "out/moments.sto").read_bytes()
     assert smooth != rough
-    Analyze(arm, **options)()
-    Report(arm, output=folder / "out")()
-    Report(arm, output=folder / "out")()
+    Analyze(ARM, **options)()
+    Report(ARM, output=folder / "out")()
+    Report(ARM, output=folder / "out")()
     for step in (Dynamics, Forces, Analyze):
         with pytest.raises(
             ValueError, match="exists; choose another folder with --output, or replace it with"
         ):
-            step(arm, **options)()
+            step(ARM, **options)()
     (folder / "out/report.html").write_text("<!doctype html>mine")
     with pytest.raises(ValueError, match=r"report\.html' exists; choose another folder"):
-        Report(arm, output=folder / "out")()
+        Report(ARM, output=folder / "out")()
     assert (folder / "out/moments.sto").read_bytes() == smooth
+
+
+def test_a_result_that_came_meanwhile_is_left_alone(tmp_path, monkeypatch):
+    """Of two steps that begin together in one folder, the second to end is refused and writes nothing."""
+    options = {"motion": BEND, "output": tmp_path / "out"}
+
+    @functools.wraps(steps.forces)
+    def slow(*given, solve=steps.forces):
+        monkeypatch.setattr(steps, "forces", solve)
+        Forces(ARM, **options, filter=6.0)()
+        kept.update((path, path.read_bytes()) for path in (tmp_path / "out").iterdir())
+        return solve(*given)
+
+    kept = {}
+    monkeypatch.setattr(steps, "forces", slow)
+    with pytest.raises(
+        ValueError, match=r"activations\.sto' exists; choose another folder with --output, or"
+    ):
+        Forces(ARM, **options)()
+    assert len(kept) > 5
+    assert {path: path.read_bytes() for path in (tmp_path / "out").iterdir()} == kept

@@ -95,11 +95,13 @@ def test_unknown_model():
 def test_csv(tmp_path):
     path = tmp_path / "patient.csv"
     text = "\ufeffmuscle,max_isometric_force,smoothing_width\na,400,\nb,,0.1\n"
-    path.write_text(text, encoding="utf-8")  # with the mark that Excel puts first
-    got = MuscleTable.read("mujoco", path).of(NAMES, WORLDS)
-    assert np.array_equal(got["max_isometric_force"], [[400.0, np.nan, np.nan]], equal_nan=True)
-    assert np.array_equal(got["smoothing_width"], [[np.nan, 0.1, np.nan]], equal_nan=True)
+    for delimiter in ",;\t":
+        path.write_text(text.replace(",", delimiter), encoding="utf-8")  # with the mark that Excel puts first
+        got = MuscleTable.read("mujoco", path).of(NAMES, WORLDS)
+        assert np.array_equal(got["max_isometric_force"], [[400.0, np.nan, np.nan]], equal_nan=True)
+        assert np.array_equal(got["smoothing_width"], [[np.nan, 0.1, np.nan]], equal_nan=True)
     for text, message in (
+        ("muscle;smoothing_width\na;0,1\n", "smoothing_width of muscle 'a' must be a number, got '0,1'"),
         ("name,max_isometric_force\na,1\n", "must have a column 'muscle', got name, max_isometric_force"),
         ("muscle,max_isometric_force\na,1\na,2\n", "one row for each muscle, got two of 'a'"),
         ("muscle,max_isometric_force\na,x\n", "max_isometric_force of muscle 'a' must be a number, got 'x'"),

@@ -90,7 +90,7 @@ def test_the_start_says_which_holds(rod, caplog):
         for stops in (True, False, True):
             myowarp.from_osim(rod, stops=stops, replace=True)
     assert [record.getMessage() for record in caplog.records] == [
-        "rod.osim: ranges stop 1 clamped joints, which they do not in OpenSim's simulations; --no-stops, or "
+        "rod.osim: 1 clamped joints stop at their ranges, unlike in OpenSim's simulations; --no-stops, or "
         "stops=False, lets them go on",
         "rod.osim: no range stops a joint, as in OpenSim's simulations",
     ]

@@ -136,8 +136,9 @@ def _list(found: list[Baseline], as_json: bool) -> None:
         f"strict: episodes with {SUCCESSES['success']}, as `myowarp eval` counts; paper: {RULES[MYOSUITE]}.\n"
         "256 episodes with the policy's means as actions, and 256 with drawn ones, under parity physics; 1 of"
         " 1: all 256 are the same; -: not counted; *: a corrected task.\nyes: today's trainer made the"
-        " policy, and `myowarp baselines run ID` makes it again; no: an earlier one did.\n--json has every"
-        " seed, intervals and two more rules.",
+        " policy, and `myowarp baselines run ID` makes it again; no: an earlier one did.\nA -v1 id without a"
+        " row takes the policy of its -v0 (`--policy baseline`).\n--json has every seed, intervals and two"
+        " more rules.",
         markup=False,
     )
 

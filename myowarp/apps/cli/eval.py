@@ -23,12 +23,12 @@ from myowarp.apps.reports.evaluation import (
 )
 from myowarp.kernels.episode import MYOSUITE
 from myowarp.sim.economy import UNITS as ECONOMY
-from myowarp.sim.economy import WALKING_UNITS, doubt, heading
+from myowarp.sim.economy import doubt, heading
 
 
 @dataclass
 class Eval:
-    """Evaluate a trained policy: success by three rules with 95 % intervals, return, effort, metabolic rate.
+    """Evaluate a trained policy: success with 95 % intervals, return, effort; of walks the metabolic rate.
 
     Every world runs one episode. The physics is parity (MyoSuite's integrator and step) unless you choose
     another; reset and conditions are those of the training unless you choose others.
@@ -75,18 +75,19 @@ def print_table(head: dict[str, Any], results: dict[str, dict[str, Any]]) -> Non
         text = f"{SUCCESSES['success']}, {some['reachable']} reachable targets"
         table.add_row(text, *(success_text(figures, "success_reachable") for figures in results.values()))
     table.add_row("return", *(_return_text(figures) for figures in results.values()))
+    walks = any(figures["speed"] is not None for figures in results.values())
     plain = {
         "length_mean": "length [steps]",
         "mean_activation": "mean activation",
         "activation_rate": "activation rate [1/s]",
-        **{name: heading(name, some["body_mass"]) for name in ECONOMY},
+        # Rates of a part of a person, such as an arm, are in the JSON alone.
+        **{name: heading(name, some["body_mass"]) for name in ECONOMY if walks},
         **{name: name for name in ("episodes", "failed", "faults")},
     }
     for name, text in plain.items():
-        values = [figures[name] for figures in results.values()]
-        if name not in WALKING_UNITS or any(value is not None for value in values):
-            cells = ("-" if value is None else f"{value:.4g}" for value in values)
-            table.add_row(escape(text), *cells)  # rich would take [m/s] for a tag
+        values = (figures[name] for figures in results.values())
+        cells = ("-" if value is None else f"{value:.4g}" for value in values)
+        table.add_row(escape(text), *cells)  # rich would take [m/s] for a tag
     console.print(table)
     for mode, figures in results.items():
         for text in filter(None, (passing(figures["success"], figures["success_last"]), doubt(figures))):

@@ -156,13 +156,12 @@ class Trial:
 Recording = Annotated[Trial, tyro.conf.arg(name="")]
 Steps = Annotated[int | None, described("INT", "Control steps; by default one episode of the task.", UNSET)]
 POLICIES = (
-    "random, zero, hold (pose tasks: proportional control of the joints), muscle-control (pose and"
-    " reach tasks: activations whose torques lead there), baseline (the trained policy of the package for"
-    " the task, or for another version of it; `myowarp baselines list`), baselines/ID (that of another"
-    " task), the folder of a trained policy, excitations over time (.sto, .mot, .csv; a column a muscle),"
-    " a gait of reflexes (.json),"
-    " package.module:function or file.py:function: a function from observations (num_worlds, n) to"
-    " actions (num_worlds, m) in [-1, 1]."
+    "random; zero; hold (pose tasks: proportional control of the joints); muscle-control (pose and reach"
+    " tasks: activations that move the joints to the target); baseline (the package's trained policy of the"
+    " task, or of another version of it; `myowarp baselines list`); baselines/ID (that of another task); the"
+    " folder of a trained policy; excitations over time (.sto, .mot, .csv, a column for each muscle); a gait"
+    " of reflexes (.json); or your own function, file.py:function or package.module:function, from"
+    " observations (num_worlds, n) to actions (num_worlds, m) in [-1, 1]."
 )
 Policy = Annotated[str, described("NAME", POLICIES)]
 OwnPolicy = Annotated[str, described("NAME", POLICIES, "(default: random; with --model zero)")]

@@ -35,7 +35,7 @@ class TrainCommand:
 
     asked: Environment
     algorithm: Annotated[str | None, optional("{" + ",".join(ALGORITHMS) + "}")] = None
-    """Algorithm; by default that of the task's preset, which is ppo but for a few."""
+    """Algorithm; by default that of the task's preset, which is ppo for all but a few."""
     output: Annotated[Path | None, optional("FOLDER")] = None
     """New folder of the run; by default runs/<task>_<algorithm>_<seed>."""
     resume: Annotated[Path | None, optional("FOLDER")] = None

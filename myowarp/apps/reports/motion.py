@@ -29,6 +29,7 @@ from myowarp.motion.units import Angles
 from myowarp.osim.document.kinematics import floating
 from myowarp.osim.document.model import Model
 from myowarp.process import listed
+from myowarp.progress import patient_bar
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,6 +41,7 @@ NOTHING = 1e-3
 FULL = 0.999
 """Activation from which a muscle is fully active."""
 LISTED, DRAWN, COLUMNS, DPI = 12, 24, 6, 110
+PATIENCE = 2.0  # s without a word
 REACTION = re.compile(r"(?P<joint>.+)_on_.+_in_.+_(?P<kind>[fmp])[xyz]")
 """Labels of joint reactions, as OpenSim writes them."""
 SIDES: dict[str, tuple[str, str, Literal["-", "--"]]] = {
@@ -161,15 +163,16 @@ def page(folder: Path, model: Model, motion: Path | None = None) -> str:
         findings.append(_residual(held))
         tables[MOMENTS.file] = without(tables[MOMENTS.file], root)
     shown += [(part, tables[part.file]) for part in PARTS if part.file in tables]
-    for part, table in shown:
-        if part.file in (MISSING.file, RESERVES.file):
-            acting = np.abs(table.values).max(axis=0, initial=0.0) > NOTHING
-            on = {label for label, acts in zip(table.labels, acting, strict=True) if acts}
-            table = among(table, on - set(root) if MOMENTS.file in tables else on)
-        if table.labels:
-            sections.append(
-                _section(part, table, [unit_of(part.unit, label, model) for label in table.labels])
-            )
+    with patient_bar("Drawing", "tables", len(shown), patience=PATIENCE) as advance:
+        for part, table in shown:
+            if part.file in (MISSING.file, RESERVES.file):
+                acting = np.abs(table.values).max(axis=0, initial=0.0) > NOTHING
+                on = {label for label, acts in zip(table.labels, acting, strict=True) if acts}
+                table = among(table, on - set(root) if MOMENTS.file in tables else on)
+            if table.labels:
+                units = [unit_of(part.unit, label, model) for label in table.labels]
+                sections.append(_section(part, table, units))
+            advance(1)
     bullets = "".join(f"<li{' class=bad' if bad else ''}>{escape(text)}</li>" for text, bad in findings)
     title = escape(f"A motion of {model.name}")
     return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import itertools
+import math
 import os
 import socket
 import time
@@ -136,19 +137,26 @@ class Progress:
         self._events.write(Event(wall_time=time.time(), **entries).SerializeToString())
 
     def _line(self, row: Mapping[str, float]) -> Text:
-        """Return the live line."""
+        """Return the live line; in a terminal the parts that fit its width, the most important ones first."""
         done, seconds = row["samples"] - self._after, time.monotonic() - self._begin
         left = int(seconds * max(self.total - row["samples"], 0) / max(done, 1))
         success, last, some = (100 * row[name] for name in SUCCESSES)
-        shares = " ".join(f"{part} {100 * row[f'share_{part}']:.0f} %" for part in PARTS)
-        episodes = "no episode has ended yet"
-        if row["return"] == row["return"]:
-            shown = f"success {success:.0f} % (last step {last:.0f}, any step {some:.0f})"
-            episodes = f"return {row['return']:.1f}  {shown}"
-        return Text(
-            f"{row['samples'] / 1e6:.2f} of {self.total / 1e6:.2f} M samples  {episodes}  "
-            f"{done / max(seconds, 1e-9):,.0f}/s  {shares}  {left // 60}:{left % 60:02d} left"
-        )
+        ended = row["return"] == row["return"]
+        parts = [
+            f"{row['samples'] / 1e6:.2f} of {self.total / 1e6:.2f} M samples",
+            f"{left // 60}:{left % 60:02d} left",
+            f"success {success:.0f} %" if ended else "no episode has ended yet",
+            *([f"return {row['return']:.1f}"] if ended else []),
+            f"{done / max(seconds, 1e-9):,.0f} samples/s",
+            *([f"solved on the last step {last:.0f} %, on any {some:.0f} %"] if ended else []),
+            ", ".join(f"{part} {100 * row[f'share_{part}']:.0f} %" for part in PARTS) + " of the time",
+        ]
+        line, width = parts[0], self.console.width if self.console.is_terminal else math.inf
+        for part in parts[1:]:
+            if len(line) + 2 + len(part) > width:
+                break
+            line += f"  {part}"
+        return Text(line)
 
 
 def _rows_until(path: Path, samples: int) -> list[str]:

@@ -33,57 +33,66 @@ class Settings:
 
     algorithm: ClassVar[str]
 
-    samples: int = option(3_000_000, "Control steps of all worlds together.", least=1, free=True)
-    stop_success: float = option(0.995, "Share of success to stop at; above 1: never.", least=0.0, free=True)
+    samples: int = option(3_000_000, "Control steps to train for, all worlds together.", least=1, free=True)
+    stop_success: float = option(
+        0.995, "Share of success that ends the training; above 1: none.", least=0.0, free=True
+    )
     stop_rule: str = option(
         "success",
-        "What counts: success (over 5 solved steps, no failure), success_last or success_any (solved).",
+        "What counts as success: success (over 5 solved steps, no failure), success_last or success_any"
+        " (solved on the last step, on any).",
         choices=SUCCESSES,
     )
     selections: int = option(
         20,
-        "Evaluations of the average policy over the run, its means under parity, of which the best is kept;"
-        " 0: none, the last policy is kept and the stop rule counts the last 256 episodes of the training.",
+        "How often in a run the average policy is evaluated, with mean actions under parity; the best one is"
+        " kept. 0: never; the last policy is kept, and the stop rule counts the last 256 episodes.",
         least=0,
     )
-    parity_after: int = option(0, "Samples after which physics is parity; 0: it stays as it is.", least=0)
+    parity_after: int = option(0, "Samples after which physics becomes parity; 0: it never does.", least=0)
     num_worlds: int = option(256, "Worlds simulated together.", least=1)
     rollout_steps: int = option(24, "Control steps of every world in an iteration.", least=1)
     bonus: tuple[str, ...] = option(
         (),
-        "Added to the training's reward alone: solved, success, precision (of reach) or a term.",
+        "Terms added to the reward in training alone: solved, success, precision (reach), one of the task.",
         "[NAME=WEIGHT ...]",
     )
-    cohort: str = option("", "Patient table; every patient has as many worlds; empty: one body for all.")
+    cohort: str = option("", "Patient table that divides the worlds; empty: one body for all.")
     start: str = option(
-        "", "State file (`State.save`) in which episodes start, goals and all; empty: resets."
+        "", "State file (`State.save`) from which episodes start, with its goals; empty: the task resets."
     )
-    start_share: float = option(0.0, "Share of episodes that start on a success's way.", least=0.0, most=1.0)
+    start_share: float = option(
+        0.0, "Share of episodes that start within an earlier success.", least=0.0, most=1.0
+    )
     parent: str = option("", "Policy to start from: a run's folder or baselines/<id>; empty: none.")
     parent_samples: int = option(
         0,
-        "Weight of the parent's observation normaliser, in samples; 0: all that it has seen in the same"
-        " task, 32 steps of all worlds in another one.",
+        "Samples that the parent's observation normaliser counts for; 0: all that it has seen in the same"
+        " task, 32 steps of all worlds in another task.",
         least=0,
     )
     # On two idle cores, two threads take 3.5 us a sample and pass (two networks 2 x 128), one 5.9.
     # When another process wants a core they take 10 to 60 times as long: they wait at every barrier.
-    threads: int = option(1, "Torch's threads on the CPU; more pay on idle cores alone.", least=1, most=1024)
-    precision: str = option("auto", "Of matrix products; auto: bfloat16 where fast.", choices=PRECISIONS)
-    discount: float = option(0.97, "Discount of rewards a control step.", least=0.0, most=1.0)
+    threads: int = option(
+        1, "Torch's threads on the CPU; several help on idle cores only.", least=1, most=1024
+    )
+    precision: str = option(
+        "auto", "Numbers of matrix products; auto: bfloat16 where fast.", choices=PRECISIONS
+    )
+    discount: float = option(0.97, "Discount of rewards for each control step.", least=0.0, most=1.0)
     hidden: tuple[int, ...] = option((128, 128), "Widths of the hidden layers.", least=1, most=16384)
     activation: str = option("elu", "Function between the layers.", choices=ACTIVATIONS)
-    last_rate: float = option(0.5, "Share of rates at the end, along half a cosine.", least=0.0, most=1.0)
-    average: float = option(0.9, "Weight of the past in the policy's average.", least=0.0, most=0.9999)
+    last_rate: float = option(0.5, "Share of the first rates left at the end.", least=0.0, most=1.0)
+    average: float = option(0.9, "Weight of the past in the average policy.", least=0.0, most=0.9999)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gaussian(Settings):
     """Settings of PPO, TRPO, DAgger and improve: one spread for all states."""
 
-    initial_std: float = option(0.5, "Spread of actions at the start, with a parent, too.", least=1e-3)
-    initial_mean: float = option(0.0, "Mean of actions at the start; below 0: quiet.", least=-0.99, most=0.99)
-    mean_bound: str = option("tanh", "Of means: tanh, or clip: no gradient beyond.", choices=MEAN_BOUNDS)
+    initial_std: float = option(0.5, "Standard deviation of actions at the start.", least=1e-3)
+    initial_mean: float = option(0.0, "Mean of actions at the start.", least=-0.99, most=0.99)
+    mean_bound: str = option("tanh", "Bound of mean actions.", choices=MEAN_BOUNDS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,8 +104,8 @@ class OnPolicy(Gaussian):
     epochs: int = option(5, "Passes over the samples in an update.", least=1)
     minibatches: int = option(4, "Parts of a pass.", least=1)
     value_rate: float = option(1e-3, "Learning rate of the value function at the start.", least=0.0)
-    value_first: int = option(0, "First iterations, in which the value function learns alone.", least=0)
-    noise: str = option("white", "Of actions: white, or repeated for up to 16 steps.", choices=NOISES)
+    value_first: int = option(0, "Iterations in which the value function first learns alone.", least=0)
+    noise: str = option("white", "Noise of actions; repeated: for up to 16 steps.", choices=NOISES)
     gradient_norm: float = option(1.0, "Norm to which gradients are clipped; 0: not at all.", least=0.0)
 
 
@@ -106,10 +115,10 @@ class PPOSettings(OnPolicy):
 
     algorithm = "ppo"
     clip: float = option(0.2, "Clip of the ratio of probabilities.", least=0.0)
-    kl: float = option(0.0, "KL an action entry that the rate aims at, 3e-4 say; 0: none.", least=0.0)
-    least_rate: float = option(1e-5, "Smallest learning rate with an aim.", least=0.0)
-    largest_rate: float = option(1e-2, "Largest learning rate with an aim.", least=0.0)
-    memory: int = option(0, "Units of a GRU that the policy remembers an episode with.", least=0, most=4096)
+    kl: float = option(0.0, "KL divergence of each action that sets the rate; 0: none does.", least=0.0)
+    least_rate: float = option(1e-5, "Smallest learning rate under --kl.", least=0.0)
+    largest_rate: float = option(1e-2, "Largest learning rate under --kl.", least=0.0)
+    memory: int = option(0, "Units of a GRU, the policy's memory; 0: none.", least=0, most=4096)
     spread_rate: float = option(1e-3, "Learning rate of the spread of actions at the start.", least=0.0)
     entropy: float = option(0.0, "Weight of the entropy.", least=0.0)
     learning_rate: float = option(1e-3, "Learning rate of Adam at the start.", least=0.0)
@@ -151,7 +160,7 @@ class SACSettings(Replaying):
     random_steps: int = option(160, "Control steps of every world with random actions.", least=0)
     target_rate: float = option(0.01, "Rate at which target networks follow.", least=0.0, most=1.0)
     temperature: float = option(0.01, "Weight of the entropy at the start; it is learned.", least=1e-9)
-    target_entropy: float = option(-0.5, "Entropy that the weight aims at, for each action.")
+    target_entropy: float = option(-0.5, "Entropy of each action that the weight is learned for.")
     critic_width: int = option(128, "Width of the critics' residual blocks.", least=1)
     critic_blocks: int = option(2, "Residual blocks of a critic.", least=1)
     atoms: int = option(101, "Values whose probabilities a critic learns.", least=2)
@@ -164,9 +173,9 @@ class DAggerSettings(Gaussian, Replaying):
 
     algorithm = "dagger"
     expert: str = option("muscle-control", "Policy that is imitated, by its name as in `rollout --policy`.")
-    expert_steps: int = option(100, "First control steps of every world, in which the expert acts.", least=1)
+    expert_steps: int = option(100, "Control steps of every world in which the expert acts first.", least=1)
     initial_std: float = other(
-        Gaussian, "initial_std", 0.1, "Noise; worlds in turn have none, half, all of it."
+        Gaussian, "initial_std", 0.1, "Noise of actions; worlds in turn have none, half or all of it."
     )
     learning_rate: float = other(Replaying, "learning_rate", 5e-4)
     gradient_steps: int = other(Replaying, "gradient_steps", 16)
@@ -178,12 +187,14 @@ class ImproveSettings(Gaussian, Replaying):
     """A search by particles around a policy, and imitation of what succeeded."""
 
     algorithm = "improve"
-    expert: str = option("", "Policy that the search is around; empty: the parent, as it improves.")
+    expert: str = option("", "Policy around which is searched; empty: the parent, as it improves.")
     copies: int = option(32, "Worlds that begin in the same state.", least=2)
     keep: int = option(2, "Copies of a state that are copied over the others.", least=1)
     every: int = option(10, "Control steps from one copying to the next.", least=1)
     num_worlds: int = other(Settings, "num_worlds", 1024, "Worlds together, a multiple of --copies.")
-    initial_std: float = other(Gaussian, "initial_std", 0.8, "Spread of the noise, before the tanh.")
+    initial_std: float = other(
+        Gaussian, "initial_std", 0.8, "Standard deviation of the noise, before the tanh."
+    )
     learning_rate: float = other(Replaying, "learning_rate", 1e-4)
     gradient_steps: int = other(Replaying, "gradient_steps", 500, "Gradient steps after each search.")
     average: float = other(Settings, "average", 0.5)

@@ -133,7 +133,7 @@ def _say_stops(model: mujoco.MjModel, source: Path, stops: bool) -> None:
         warn_once(f"{source.name}: no range stops a joint, as in OpenSim's simulations")
     elif count := int(model.jnt_limited.sum()):
         warn_once(
-            f"{source.name}: ranges stop {count} clamped joints, which they do not in OpenSim's simulations; "
+            f"{source.name}: {count} clamped joints stop at their ranges, unlike in OpenSim's simulations; "
             "--no-stops, or stops=False, lets them go on"
         )
 

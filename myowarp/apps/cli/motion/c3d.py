@@ -39,8 +39,9 @@ class C3d:
         if wrong := [word for word in self.names if not all(word.partition("="))]:
             raise ValueError(f"--names takes OLD=NEW, such as EMG1=soleus_r, got {wrong[0]!r}")
         names = {old: new for old, _, new in (word.partition("=") for word in self.names)}
-        check_results(self.output, FILES, self.overwrite)
+        check = check_results(self.output, FILES, self.overwrite)
         found = read_c3d(self.recording, self.up, names)
+        check()
         written = found.write(self.output, self.plates)
         lines = [f"no markers, and left out: {', '.join(found.skipped)}"] if found.skipped else []
         if found.plates:

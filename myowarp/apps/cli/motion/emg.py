@@ -35,7 +35,7 @@ class Emg:
         from myowarp.osim.document.read.model import read_model
 
         source = needed(self.emg, "emg", "emg")
-        check_results(self.output, FILES, self.overwrite)
+        check = check_results(self.output, FILES, self.overwrite)
         path = self.output / "activations.sto"
         if not path.is_file():
             raise ValueError(
@@ -49,6 +49,7 @@ class Emg:
                 "the model that it was found with"
             )
         found = compare(read_storage(source), activation)
+        check()
         found.write(self.output)
         draw_emg(self.output / "emg.png", found)
         say_saved(of_emg(found), FILES, self.output)

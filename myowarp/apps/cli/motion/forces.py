@@ -18,10 +18,10 @@ FILES = (
 
 @dataclass
 class Forces(of.Along):
-    """Find the forces of muscles that give a motion's moments, at the least sum of activations to a power.
+    """Find the muscle forces of a motion by static optimisation.
 
-    Where muscles cannot give them, a reserve of --reserve N m on every coordinate helps; what is missing is
-    said.
+    The sum of activations to a power is the least that gives every joint moment. --reserve adds an actuator
+    to every coordinate for what muscles cannot give; the last lines say what is missing.
 
     Example: myowarp motion forces gait.osim --motion ik.mot --loads grf.xml --filter 6 --reserve 10
     """

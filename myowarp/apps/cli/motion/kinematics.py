@@ -8,7 +8,7 @@ from typing import Annotated
 
 from myowarp.apps.cli.motion import options as of
 from myowarp.apps.cli.motion.said import of_markers, of_sensors
-from myowarp.apps.cli.motion.steps import check_results, needed, say_saved, setup_of
+from myowarp.apps.cli.motion.steps import check_results, checked, needed, say_saved, setup_of
 from myowarp.apps.cli.options import optional
 
 FILES = "ik.mot", "marker_errors.sto", "gaps.csv"
@@ -58,7 +58,7 @@ class Kinematics:
                     raise ValueError(f"--{option} is of markers; leave it out where sensors are followed")
         else:
             needed(setup.markers, "kinematics", "markers")
-        check_results(self.output, files, self.overwrite)
+        check = check_results(self.output, files, self.overwrite)
         bones = Bones.read(self.model, markers=self.marker_set)
-        found = written(kinematics_in_parts(bones, setup), self.output)
+        found = written(checked(kinematics_in_parts(bones, setup), check), self.output)
         say_saved(of_sensors(found) if sensors else of_markers(found), files, self.output)

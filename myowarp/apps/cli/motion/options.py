@@ -19,8 +19,8 @@ ToolFile = Annotated[
     Path | None,
     described(
         "FILE",
-        "Set-up file of OpenSim's tool: files, filter, times, exponent and reserves are taken from it, as far"
-        " as the step has them, unless they are given here.",
+        "Set-up file of OpenSim's tool, for files, filter, times, exponent and reserves; an option given here"
+        " wins over it.",
         UNSET,
     ),
 ]
@@ -28,18 +28,21 @@ FunctionPaths = Annotated[
     Path | None,
     described(
         "FILE",
-        "Set of FunctionBasedPath, as Moco's, in place of the paths of the muscles that it names.",
+        "Set of FunctionBasedPath, such as Moco's, which replaces the paths of the muscles that it names.",
         UNSET,
     ),
 ]
 Contact = Annotated[
     Literal["opensim"] | None,
     described(
-        "opensim", "Contact forces of the model act, as OpenSim computes them; by default they rest.", UNSET
+        "opensim",
+        "Let the model's contact forces act, as OpenSim computes them; by default they do not.",
+        UNSET,
     ),
 ]
 Filter = Annotated[
-    float | None, described("HZ", "Frequency below which the motion is kept; by default all is.", UNSET)
+    float | None,
+    described("HZ", "Cut-off frequency of the low-pass filter; by default there is none.", UNSET),
 ]
 Span = Annotated[
     tuple[float, float] | None, described("START END", "First and last time [s]; by default all.", UNSET)
@@ -48,26 +51,25 @@ Mode = Annotated[
     Literal["equilibrium", "opensim"],
     described(
         "{equilibrium,opensim}",
-        "What muscles can give; opensim: as its static optimisation, rigid tendons without passive force.",
+        "equilibrium: fiber and tendon in equilibrium, with passive force. opensim: rigid tendons without"
+        " passive force, as OpenSim's static optimisation.",
     ),
 ]
 Exponent = Annotated[
-    float | None, described("FLOAT", "Of activations in the cost, at least 1; by default 2.", UNSET)
+    float | None, described("FLOAT", "Power of activations in the cost, at least 1; by default 2.", UNSET)
 ]
 Reserve = Annotated[
     float | None,
     described(
         "FLOAT",
-        "Moment of a reserve at cost 1 on every coordinate [N m, N]; by default those of the set-up file, or"
-        " none.",
+        "Moment of a reserve actuator on every coordinate at cost 1 [N m, N]; by default those of the set-up"
+        " file, or none.",
         UNSET,
     ),
 ]
 Residual = Annotated[
     float | None,
-    described(
-        "FLOAT", "The same on coordinates that carry the model through space; by default --reserve.", UNSET
-    ),
+    described("FLOAT", "The same for the coordinates of the root; by default --reserve.", UNSET),
 ]
 Output = Annotated[Path, tyro.conf.arg(aliases=["-o"], help="Folder for the result.")]
 

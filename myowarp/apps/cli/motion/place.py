@@ -40,8 +40,9 @@ class Place:
         placing = Placing() if self.setup is None else Placing.read(self.setup)
         placing = replace(placing, orientations=self.orientations or placing.orientations)
         recorded = read_orientations(needed(placing.orientations, "place", "orientations"))
-        check_results(self.output, FILES, self.overwrite)
+        check = check_results(self.output, FILES, self.overwrite)
         placed = place(Document(self.model, parse(self.model)[0]), recorded, placing)
+        check()
         placed.write(self.output)
         lines = [f"on no body, and left out: {', '.join(placed.left)}"] if placed.left else []
         if placing.base:

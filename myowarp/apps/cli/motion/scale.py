@@ -38,7 +38,8 @@ class Scale:
             raise ValueError(
                 f"--markers measure or pose a person; {str(self.setup)!r} has neither, so leave them out"
             )
-        check_results(self.output, FILES, self.overwrite)
+        check = check_results(self.output, FILES, self.overwrite)
         scaled = scale(self.model, setup, self.markers)
+        check()
         scaled.write(self.output)
         say_saved(of_scaling(scaled), FILES, self.output)

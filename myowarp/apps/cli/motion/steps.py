@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from rich.console import Console
 
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from myowarp.osim.body.skeleton import Bones
 
     Step = Callable[[Bones, TrialSetup, Loaded], AlongMotion]
+
+Found = TypeVar("Found")
 
 RENEWED = {
     "contact_forces.sto": "contact forces on ",
@@ -61,7 +63,9 @@ def needed(path: Path | None, step: str, option: str) -> Path:
     return path
 
 
-def check_results(output: Path, files: Iterable[str], overwrite: bool, renewed: Iterable[str] = ()) -> None:
+def check_results(
+    output: Path, files: Iterable[str], overwrite: bool, renewed: Iterable[str] = ()
+) -> Callable[[], object]:
     """Raise a clear error now if results could not be written, or would replace others; say which may.
 
     Args:
@@ -70,15 +74,29 @@ def check_results(output: Path, files: Iterable[str], overwrite: bool, renewed: 
         overwrite: Whether they may replace others.
         renewed: Those of them that may replace what an earlier step wrote.
 
+    Returns:
+        Checks again, before results take their places: another process may have written there meanwhile.
+
     Raises:
         ValueError: As it says.
     """
+
+    def check() -> list[str]:
+        again = [name for name in renewed if _begins(output / name, RENEWED[name])]
+        own = [output / name for name in files if name not in again]
+        check_overwrite(own, overwrite, "folder with --output")
+        return again
+
     check_folder(output)
-    again = [name for name in renewed if _begins(output / name, RENEWED[name])]
-    own = [output / name for name in files if name not in again]
-    check_overwrite(own, overwrite, "folder with --output")
-    if again:
+    if again := check():
         say([f"An earlier step wrote {', '.join(again)} in {output}; this one replaces it"])
+    return check
+
+
+def checked(results: Iterable[Found], check: Callable[[], object]) -> Iterator[Found]:
+    """Yield results, and check once the last one was taken."""
+    yield from results
+    check()
 
 
 def _begins(path: Path, text: str) -> bool:
@@ -177,9 +195,9 @@ def along(
 
     lines: list[str] = []
     needed(setup.motion, step.__name__, "motion")
-    check_results(command.output, files, command.overwrite, renewed)
+    check = check_results(command.output, files, command.overwrite, renewed)
     bones = bones_of(command, setup)
-    for found in written(_solved(bones, setup, step), command.output):
+    for found in written(checked(_solved(bones, setup, step), check), command.output):
         if not found.motion.first:
             lines += absent_from(found.motion)
         each(found)

@@ -16,12 +16,12 @@ from myowarp.definitions.registry import check_least
 
 @dataclass
 class Study:
-    """Solve a table of trials, one a row, and draws of what is uncertain in each.
+    """Solve a table of trials, one a row, with random draws of their uncertain parameters.
 
-    Columns are its files (trial, model, markers or motion, setup, loads), factors on its model
-    (max_isometric_force, tendon_slack_length, mass) and how far draws of it spread
+    Columns are a trial's files (trial, model, markers or motion, setup, loads), factors on its model
+    (max_isometric_force, tendon_slack_length, mass) and the spread of their draws
     (max_isometric_force_spread, ..., marker_noise [m]). Writes tidy Parquet, .sto with intervals and plots;
-    the same command goes on with what is missing.
+    the same command continues an interrupted study.
 
     Example: myowarp motion study trials.csv --draws 100 --reserve 10 -o out/study
     """
@@ -29,9 +29,9 @@ class Study:
     table: Annotated[Path, tyro.conf.Positional]
     """The table of trials, .csv or .parquet."""
     draws: int = 0
-    """Of each trial, besides the trial as it is."""
+    """Random draws of each trial, besides the trial as it is."""
     seed: int = 0
-    """Of the draws."""
+    """Seed of the draws."""
     mode: of.Mode = "equilibrium"
     exponent: of.Exponent = None
     reserve: of.Reserve = None

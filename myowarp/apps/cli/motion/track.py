@@ -49,7 +49,7 @@ class Track(of.Along):
         setup = setup_of(self, strength=factors)
         setup = setup.stating(gains={**setup.gains, **gains})
         needed(setup.motion, "track", "motion")
-        check_results(self.output, FILES, self.overwrite)
+        check = check_results(self.output, FILES, self.overwrite)
         bones = bones_of(self, setup)
         motion = steps.moved(bones, setup.whole)
         begin, end = setup.within(motion.time)
@@ -57,6 +57,7 @@ class Track(of.Along):
             "Tracking", "windows", max(1, round((end - begin) / WINDOW)), patience=0.0
         ) as advance:
             found = steps.track(bones, setup, motion, advance)
+        check()
         found.write(self.output)
         say_saved([*absent_from(motion), *of_tracking(found)], FILES, self.output)
 

@@ -89,7 +89,7 @@ def _between_patients(result: CohortResult) -> Iterator[tuple[str, str]]:
             groups = group_patients(summary[name])
             shares = (100.0 * summary["success_last"][member].mean() for member in groups.members)
             parts = zip(shares, groups.labels, strict=True)
-            yield f"at the end, by {name}", ", ".join(f"{share:.0f} % ({own})" for share, own in parts)
+            yield f"  by {name}", ", ".join(f"{share:.0f} % ({own})" for share, own in parts)
 
 
 def figures(result: CohortResult) -> Table:
@@ -99,10 +99,10 @@ def figures(result: CohortResult) -> Table:
         "patients": f"{settings['patients']:,}",
         "task": settings["task"],
         "policy": settings["policy"],
-        "trials of each": str(settings["trials"]),
+        "trials of each patient": str(settings["trials"]),
         "control steps": str(settings["steps"]),
         "conditions": ", ".join(settings["conditions"]) or "none",
-        "at the end": f"{100 * summary['success_last'].mean():.1f} % ({SUCCESSES['success_last']})",
+        SUCCESSES["success_last"]: f"{100 * summary['success_last'].mean():.1f} %",
         **dict(_between_patients(result)),
         "successful": f"{100 * summary['success'].mean():.1f} % ({SUCCESSES['success']})",
         "failed": f"{summary['failed'].sum():,} of {len(summary):,} episodes",
@@ -110,9 +110,10 @@ def figures(result: CohortResult) -> Table:
     if "final_error" in summary:
         low, middle, high = summary["final_error"].quantile([0.25, 0.5, 0.75])
         unit = settings["units"]["final_error"]
-        rows["error in the last quarter"] = f"{middle:.3g} {unit} (middle half {low:.3g} to {high:.3g})"
+        rows["error in the last quarter"] = f"median {middle:.3g} {unit} (quartiles {low:.3g}, {high:.3g})"
     rows["mean activation"] = f"{summary['mean_activation'].mean():.3f}"
-    known = {name: summary[name].mean() for name in settings["units"] if name in ECONOMY}
+    walks = "speed" in settings["units"]  # rates of a part of a person are in the files alone
+    known = {name: summary[name].mean() for name in ECONOMY if walks}
     rows |= {heading(name, settings["body_mass"]): number(mean) for name, mean in known.items()}
     rows["faults"] = str(summary["fault"].notna().sum())
     return terminal((), rows.items())
