@@ -6,7 +6,6 @@ import os
 import re
 import subprocess
 import sys
-import tomllib
 from importlib.metadata import version
 from pathlib import Path
 
@@ -624,19 +623,6 @@ def test_ctrl_c_ends_the_command_without_a_traceback(monkeypatch):
     with pytest.raises(SystemExit) as ended:
         command()
     assert ended.value.code == 130
-
-
-def test_ctrl_c_ends_the_command_while_it_is_imported(tmp_path):
-    """The entry point that an installation has; the import of Warp is interrupted."""
-    (tmp_path / "warp.py").write_text("raise KeyboardInterrupt")
-    entry = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]["myowarp"]
-    module, _, name = entry.partition(":")
-    line = f"from {module} import {name}; {name}()"
-    paths = {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
-    done = subprocess.run(
-        [sys.executable, "-c", line], env=os.environ | paths, capture_output=True, text=True
-    )
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 
 def test_a_model_without_a_task_has_no_success(run, tmp_path):
