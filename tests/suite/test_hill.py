@@ -56,6 +56,10 @@ MODELS.remove("moving")
 HILL = [name for name in MUSCLES if issubclass(MUSCLES[name], Hill)]
 
 
+# Kernels of tests are compiled once and launched for a moment.
+wp.set_module_options({"enable_backward": False, "optimization_level": 0})
+
+
 @wp.func
 def tendon_force(m: Any, tables: wp.array2d[Any], spans: wp.array[Any], a: Any, length: Any, tolerance: Any):
     """Static tendon force [F_max]."""

@@ -51,6 +51,8 @@ V_STEP = 1e-6  # m/s, of central differences
 
 FIRST = {TASKS[key].body: TASKS[key] for key in reversed(list(TASKS))}
 BODY_TASKS = {body: spec for body, spec in FIRST.items() if BODIES[body].groups}
+OFTEN = pytest.mark.parametrize("body", often([*BODY_TASKS], [*BODY_TASKS.keys() - {"contact_hand"}]))
+"""The hand that touches things has the muscles of the other one."""
 """The first task of each body that has muscles."""
 
 
@@ -178,7 +180,7 @@ def stepped(body, physics):
 
 
 @pytest.mark.parametrize("physics", PHYSICS)
-@pytest.mark.parametrize("body", BODY_TASKS)
+@OFTEN
 def test_one_step_equals_mujoco(body, physics):
     scene, states, (force, activation, qvel) = stepped(body, physics)
     ids = scene.muscles.actuator_id
@@ -195,7 +197,7 @@ def test_one_step_equals_mujoco(body, physics):
 
 
 @pytest.mark.parametrize("physics", PHYSICS)
-@pytest.mark.parametrize("body", BODY_TASKS)
+@OFTEN
 def test_kernel_equals_reference(body, physics):
     scene, states, _ = stepped(body, physics)
     model, ids = scene.oracle, scene.muscles.actuator_id
@@ -206,7 +208,7 @@ def test_kernel_equals_reference(body, physics):
     assert error.max() <= KERNEL_FORCE
 
 
-@pytest.mark.parametrize("body", BODY_TASKS)
+@OFTEN
 def test_force_comes_from_the_callback(body):
     scene = muscle_scene(body, 33, "parity", "mujoco")
     states = States(scene.oracle, 33)
@@ -219,7 +221,7 @@ def test_force_comes_from_the_callback(body):
     assert np.all(difference.max(axis=0) > EFFECT * ENGINE_FORCE * peaks(scene.oracle))
 
 
-@pytest.mark.parametrize("body", BODY_TASKS)
+@OFTEN
 def test_implicit_integrator_needs_the_force_slope(body):
     """The same force without kv moves the velocity after one step by much more than the tolerance."""
     scene = muscle_scene(body, 33, "fast", "mujoco")

@@ -5,7 +5,7 @@ from functools import lru_cache
 import mujoco
 import numpy as np
 import pytest
-from often import of_each
+from often import of_each, often
 
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.task import TASKS
@@ -20,7 +20,7 @@ TOUCHING = [key for key in SCENES if TASKS[key].body == "contact_hand"]
 CARRYING = [key for key in SCENES if TASKS[key].carried]
 ELBOW, KEY = "myoElbowPose1D6MRandom-v0", "myoHandKeyTurnRandom-v1"
 
-NUM_STARTS = 256  # the first rows of the full table: starts are found one after the other
+NUM_STARTS = 128  # the first rows of the full table: starts are found one after the other
 NUM_WORLDS = 256
 NUM_ROWS = 50  # of a table, checked in MuJoCo C
 FAILING = 0.01  # share of random starts that may fail at once
@@ -124,7 +124,7 @@ def test_palm_is_one_rigid_body():
     assert model.body_weldid[model.site_bodyid[model.site("palm_frame").id]] == palm
 
 
-@pytest.mark.parametrize("key", of_each(CARRYING))
+@pytest.mark.parametrize("key", often(CARRYING, ["myoHandObjHoldRandom-v0"]))
 def test_objects_keep_their_place_in_the_palm(key):
     """T_palm^-1 T_object is that of the task's own start, in every row of the table."""
     spec, model = TASKS[key], model_of(key)

@@ -82,7 +82,8 @@ class TestTransfer:
         data = sim.scene.data
         sim.reset(seeds=np.arange(NUM_WORLDS))
         data.qpos.assign(np.tile(sim.scene.oracle.qpos0, (NUM_WORLDS, 1)))
-        mjw.fwd_position(sim.scene.model, data)
+        for launch in (mjw.kinematics, mjw.com_pos, mjw.tendon, mjw.transmission):
+            launch(sim.scene.model, data)
         names = [sim.scene.oracle.joint(i).name for i in range(sim.scene.oracle.nv)]
         dofs = [*(names.index(n) for n in ("deviation_r", "flexion_r")), 3, 4, names.index("mp_flexion_r"), 6]
         expected = np.array(list(tendon_transfer.MOMENTS.values()))
