@@ -12,6 +12,7 @@ from mujoco_warp._src import solver
 from mujoco_warp._src.types import DisableBit
 from often import often
 from reference.constraint_newton import acceleration, imbalance, row_forces
+from stepping import engine_alone
 
 from myowarp.definitions.task import TASKS
 from myowarp.engine.stages.constraint_rows import ConstraintRows, frames_in_solver
@@ -302,7 +303,7 @@ def test_engine_agrees_in_random_motion(key):
         if step % 15 < 14:
             continue
         results = []
-        mjw.forward(model, data)
+        engine_alone(mjw.forward)(model, data)
         for solve, tolerance in ((launch_solve, own), (solver.solve, 0.0 * own)):
             model.opt.tolerance.assign(tolerance)
             data.qacc.fill_(np.nan)

@@ -12,7 +12,7 @@ from configurations import configurations
 from mujoco_warp._src import forward
 from mujoco_warp._src.types import DisableBit, IntegratorType
 from often import often
-from stepping import launch_place, step
+from stepping import engine_alone, launch_place, step
 
 from myowarp.definitions.task import TASKS
 from myowarp.engine.stages import integrate as integrate_file
@@ -216,7 +216,7 @@ def test_solution_is_that_of_the_dense_system(name, implicit_actuators):
         scene = scene_of(host)
         model, data = scene.model, scene.data
         data.qpos.assign(data.qpos.numpy() + rng.normal(size=(NUM_WORLDS, host.nq)))
-        mjw.fwd_position(model, data)
+        engine_alone(mjw.fwd_position)(model, data)
         damping = rng.uniform(0.0, 1.0, (NUM_WORLDS, host.nv))
         model.dof_damping = wp.array(damping, dtype=float)
         data.efc.Ma.assign(rng.normal(size=(NUM_WORLDS, host.nv)))
@@ -250,7 +250,7 @@ def test_bookkeeping_is_that_of_the_engine(integrator, contacts, found):
             data = scene.data
             for field, values in states.items():
                 getattr(data, field).assign(values)
-            mjw.forward(scene.model, data)
+            engine_alone(mjw.forward)(scene.model, data)
             data.naconmax = 4
             data.nacon.fill_(contacts), data.ncollision.fill_(found)
             data.nefc.assign(np.arange(NUM_WORLDS) % 3)

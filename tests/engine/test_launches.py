@@ -19,7 +19,8 @@ def simulation(key):
     return Simulation(TASKS[key], NUM_WORLDS, device="cpu", stages=(), graph=False, progress=False)
 
 
-@pytest.mark.parametrize("key", often(KEYS, KEYS[:1]))
+@pytest.mark.slow  # compiles modules of the engine whole
+@pytest.mark.parametrize("key", KEYS)
 def test_state_is_that_of_the_engine(key):
     """Bit for bit, over steps in which muscles pull."""
     sim = simulation(key)

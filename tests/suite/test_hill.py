@@ -347,7 +347,7 @@ def test_a_converted_model_runs_its_own_muscles_of_mixed_classes(tmp_path, caplo
     assert isinstance(plain, myowarp.MujocoMuscle)
 
 
-@pytest.mark.parametrize("muscle", HILL)
+@pytest.mark.parametrize("muscle", often(HILL, HILL[:2]))
 def test_bad_parameters_name_muscle_and_value(muscle):
     spec = BODY_TASKS["elbow"]
     cases = (

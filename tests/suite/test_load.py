@@ -11,6 +11,7 @@ import warp as wp
 from configurations import configurations
 from often import often
 from reference import load as reference
+from stepping import engine_alone
 
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.condition import resolve
@@ -145,7 +146,7 @@ def test_gravity_torque_is_that_of_statics(record_property):
     for mass in (MASSES, 0.0):
         sim = loaded(ELBOW, mass)
         put(sim, states)
-        mjw.forward(sim.scene.model, sim.scene.data)
+        engine_alone(mjw.forward)(sim.scene.model, sim.scene.data)
         held.append(sim.scene.data.qfrc_bias.numpy()[:, 0].astype(np.float64))
     center, anchor, axis = world_frame(states.qpos)
     expected = -reference.gravity_torque(MASSES, center, anchor, axis)
@@ -184,12 +185,12 @@ def test_moves_like_mujoco_compiled_with_it(body, record_property):
     sim = loaded(key, MASSES)
     data = sim.scene.data
     put(sim, States(sim.scene.oracle, TASKS[key].start(sim.scene.oracle)))
-    mjw.forward(sim.scene.model, data)
+    engine_alone(mjw.forward)(sim.scene.model, data)
     acceleration = data.qacc.numpy().astype(np.float64)
     put(sim, States(sim.scene.oracle, TASKS[key].start(sim.scene.oracle)))
     data.qacc_warmstart.zero_()
     for _ in range(sim.scene.num_substeps):
-        mjw.step(sim.scene.model, data)
+        engine_alone(mjw.step)(sim.scene.model, data)
     qpos = data.qpos.numpy()
     expected, unloaded = (
         [np.array(x) for x in zip(*(in_c(key, m, w) for w, m in enumerate(masses)), strict=True)]
@@ -319,7 +320,7 @@ def test_neutral_is_the_identity():
         )
         sim.shards[0].launch_conditions()
         put(sim, States(sim.scene.oracle, sim.scene.oracle.qpos0))
-        mjw.forward(sim.scene.model, sim.scene.data)
+        engine_alone(mjw.forward)(sim.scene.model, sim.scene.data)
         found.append(sim.scene.data.qacc.numpy().copy())
     np.testing.assert_array_equal(found[1], found[0])
     assert np.abs(found[2] - found[0]).min() > 0

@@ -152,6 +152,7 @@ def test_every_kind_of_joint_is_solved_for(kind):
     assert np.median(np.linalg.norm(targets - tips_of(model, tips, [model.qpos0]), axis=1)) > 10 * FOUND
 
 
+@pytest.mark.slow
 def test_ranges_of_slides_and_cones_of_balls_hold():
     """Targets half a metre past a slide's end, half a radian past a cone's edge, wider than a body."""
     world = '<mujoco><compiler angle="radian"/><worldbody>{}</worldbody></mujoco>'
