@@ -88,7 +88,6 @@ def test_a_student_imitates_who_is_told(told, student):
     assert np.mean(wrong) < 0.1 * np.mean(size)
 
 
-@pytest.mark.slow
 def test_numpy_sees_the_history_that_torch_was_trained_with(student):
     policy = LearnedPolicy(load_checkpoint(student))
     assert policy.obs_size == simulation("history=4").transition.obs.shape[1]
