@@ -20,7 +20,7 @@ TOUCHING = [key for key in SCENES if TASKS[key].body == "contact_hand"]
 CARRYING = [key for key in SCENES if TASKS[key].carried]
 ELBOW, KEY = "myoElbowPose1D6MRandom-v0", "myoHandKeyTurnRandom-v1"
 
-NUM_STARTS = 128  # the first rows of the full table: starts are found one after the other
+NUM_STARTS = 256  # the first rows of the full table: starts are found one after the other
 NUM_WORLDS = 256
 NUM_ROWS = 50  # of a table, checked in MuJoCo C
 FAILING = 0.01  # share of random starts that may fail at once
