@@ -42,10 +42,18 @@ def registered():
 
 @cache
 def large():
-    """Return a pattern of bodies and tasks that cost seconds a test; their oracle tests always run."""
+    """Return a pattern of bodies and tasks that cost seconds a test; most of their oracle tests run."""
     tasks = {TASKS[key].name.removeprefix("myo") for key in TASKS if TASKS[key].large}
     bodies = {name for name in BODIES if BODIES[name].large}
     return re.compile("|".join([*sorted(tasks), rf"\b(?:{'|'.join(sorted(bodies))})\b"]))
+
+
+@cache
+def arms():
+    """Return a pattern of the tasks of whole arms: half a minute to build, and as much to compile."""
+    return re.compile(
+        "|".join(TASKS[key].name.removeprefix("myo") for key in TASKS if "arm" in TASKS[key].body)
+    )
 
 
 def trusted(step, names, also, progress, conditions=()):
@@ -69,13 +77,22 @@ QUICK = "test_conditions.py"  # one or two seconds
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection():
-    """Look for no cycles among what stays: a third of the time of collecting."""
+    """Look for no cycles among what stays, a third of the time of collecting; then seldom, a tenth of all."""
     gc.disable()
     try:
         return (yield)
     finally:
         gc.freeze()
+        gc.set_threshold(20_000, 10, 10)
         gc.enable()
+
+
+@pytest.fixture(autouse=True, scope="module")
+def swept():
+    """Free what the tests of a file leave in cycles, such as simulations; look at the rest no more."""
+    yield
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(tryfirst=True)  # before slow ones are left out
@@ -83,5 +100,6 @@ def pytest_collection_modifyitems(items):
     """Leave large bodies to `make test-slow`, where a test is run for every body or task."""
     for item in items:
         case = item.callspec.id if hasattr(item, "callspec") else ""
-        if item.path.parent.name in ("suite", "engine") and item.path.name != QUICK and large().search(case):
+        searched = {"suite": large, "engine": large, "oracle": arms}.get(item.path.parent.name)
+        if searched and item.path.name != QUICK and searched().search(case):
             item.add_marker(pytest.mark.slow)

@@ -11,6 +11,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 from data.recording import euler
+from stepping import engine_alone
 
 from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
@@ -238,7 +239,7 @@ def written(key, prefix, steps):
     sim.transition.fault.zero_()
     sim.transition.obs.fill_(np.nan)
     sim.transition.terms.fill_(np.nan)
-    mjw.kinematics(sim.scene.model, sim.scene.data)
+    engine_alone(mjw.kinematics)(sim.scene.model, sim.scene.data)
     sim.shards[0].program.advance(sim.episode.step_count)
     sim.shards[0].launch_scoring()
     sim.shards[0].program.observe(wp.ones(NUM_WORLDS, dtype=bool), sim.transition.obs)

@@ -4,6 +4,8 @@ import warp as wp
 
 from myowarp.laws.muscles import hill_law
 
+# Kernels of tests are compiled once and launched for a moment.
+wp.set_module_options({"enable_backward": False, "optimization_level": 0})
 Hill64 = hill_law.hill_muscle(wp.float64)
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
-from stepping import repeated
+from stepping import engine_alone, repeated
 
 import myowarp
 from myowarp.definitions.muscle_table import MuscleTable
@@ -127,7 +127,7 @@ def swing(folder, case, dt, like=None):
 
     def launch():
         with engine_kernels_alone():
-            mjw.step(model, data)
+            engine_alone(mjw.step)(model, data)
 
     advance = repeated(launch, "cpu")
     rows = []

@@ -7,6 +7,16 @@ from myowarp.engine.patch import engine_kernels_alone
 from myowarp.engine.step import stage_launches
 
 
+def engine_alone(launches):
+    """Return a function of the engine that launches from small modules: whole ones compile for seconds."""
+
+    def launched(*args, **kwargs):
+        with engine_kernels_alone():
+            return launches(*args, **kwargs)
+
+    return launched
+
+
 def launches(scene, stages):
     """Return what a physics step launches, by place."""
     return stage_launches(stages, ground=getattr(scene, "ground", None))

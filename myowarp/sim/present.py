@@ -16,6 +16,7 @@ import warp as wp
 
 from myowarp.definitions.muscle import Anatomy
 from myowarp.definitions.scene import Scene
+from myowarp.engine.patch import engine_kernels_alone
 from myowarp.kernels.batching import batched
 from myowarp.kernels.launch import launch
 
@@ -57,11 +58,12 @@ def settle_muscles(scene: Scene, mask: wp.array, paths: Callable[[], None] | Non
 def present_paths(scene: Scene) -> None:
     """Bring lengths and velocities of the actuators to the present state."""
     model, data = scene.model, scene.data
-    mjw.kinematics(model, data)
-    mjw.com_pos(model, data)
-    (scene.paths.launch if scene.paths else mjw.tendon)(model, data)
-    mjw.transmission(model, data)
-    mjw.fwd_velocity(model, data)
+    with engine_kernels_alone():
+        mjw.kinematics(model, data)
+        mjw.com_pos(model, data)
+        (scene.paths.launch if scene.paths else mjw.tendon)(model, data)
+        mjw.transmission(model, data)
+        mjw.fwd_velocity(model, data)
     if scene.paths:
         scene.paths.launch_velocity(model, data)
 

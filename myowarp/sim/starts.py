@@ -27,6 +27,7 @@ from myowarp.definitions.scene import Starts
 from myowarp.definitions.task import TaskSpec
 from myowarp.disk import array_bytes, array_from_bytes, cached, code_digest, model_digest
 from myowarp.engine.compile import quiet
+from myowarp.engine.patch import engine_kernels_alone
 from myowarp.osim.bundle.couplings import couplings, follow
 from myowarp.process import with_build_lock
 from myowarp.progress import patient_bar
@@ -280,7 +281,8 @@ class Search:
             tested = qpos.copy()
             tested[:, self.loose] = scene.data.qpos.numpy()[:, self.loose]
             scene.data.qpos.assign(tested)
-            mjw.kinematics(scene.model, scene.data)
+            with engine_kernels_alone():
+                mjw.kinematics(scene.model, scene.data)
             program.advance(step_count)
             program.score(step_count, self.terms, self.solved, self.failed)
             failed |= self.failed.numpy()

@@ -6,6 +6,7 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 import warp as wp
+from often import often
 from reference.osim_paths.path import solve as reference_solve
 
 from myowarp.laws.paths.tables import TURNS, PathMemory
@@ -114,7 +115,7 @@ def hostile(seed):
     return dataclasses.replace(model, wraps=wraps), paths
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", often(range(3), [0]))
 def test_hostile_paths_go_as_in_numpy(seed):
     model, paths = hostile(seed)
     values = random_poses(model, 23, seed)

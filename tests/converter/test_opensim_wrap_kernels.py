@@ -13,6 +13,9 @@ from myowarp.laws.paths.sphere import wrap_sphere
 from myowarp.laws.paths.torus import wrap_torus
 from myowarp.laws.paths.wrap import Wrap, real
 
+# Kernels of tests are compiled once and launched for a moment.
+wp.set_module_options({"enable_backward": False, "optimization_level": 0})
+
 RECORDED = Path(__file__).parents[1] / "data" / "opensim" / "paths_wraps.npz"
 
 LENGTH_TOLERANCE = 1e-9

@@ -10,7 +10,9 @@ import warp as wp
 from constrained import LIMITED, MORE, NUM_CONTACTS, NUM_ROWS, NUM_WORLDS, model_of, rows_of, states
 from mujoco_warp._src import solver
 from mujoco_warp._src.types import DisableBit
+from often import often
 from reference.constraint_newton import acceleration, imbalance, row_forces
+from stepping import engine_alone
 
 from myowarp.definitions.task import TASKS
 from myowarp.engine.stages.constraint_rows import ConstraintRows, frames_in_solver
@@ -82,14 +84,14 @@ def relative(ours, theirs):
     return np.abs(ours - theirs).max(axis=1) / np.abs(theirs).max(axis=1)
 
 
-@pytest.mark.parametrize("name", [*MORE, *LIMITED])
+@pytest.mark.parametrize("name", often([*MORE, *LIMITED], ["dense", "sparse", "wide", *LIMITED]))
 def test_reference_is_mujoco_c(name):
     model = model_of(name)
     for data in states(name):
         assert np.allclose(acceleration(*problem(model, data)), data.qacc, rtol=REFERENCE, atol=REFERENCE)
 
 
-@pytest.mark.parametrize("name", MORE)
+@pytest.mark.parametrize("name", often([*MORE], ["dense", "sparse", "wide"]))
 def test_every_kind_of_row_pulls(name):
     """Without rows of a kind, or with rows that never change their state, the tests below would be blind."""
     found = states(name)
@@ -114,7 +116,7 @@ def test_every_kind_of_row_pulls(name):
 
 
 @pytest.mark.parametrize("warmth", [0.0, 0.7, 1.0])
-@pytest.mark.parametrize("name", [*MORE, *LIMITED])
+@pytest.mark.parametrize("name", often([*MORE, *LIMITED], ["dense", "sparse", "wide", *LIMITED]))
 def test_acceleration_and_forces(name, warmth):
     model, found, data = model_of(name), states(name), solved(name, warmth)
     assert relative(data.qacc.numpy(), qacc_of(name)).max() < CLOSE
@@ -134,7 +136,7 @@ def test_acceleration_and_forces(name, warmth):
         assert data.solver_niter.numpy()[i] >= 1
 
 
-@pytest.mark.parametrize("name", MORE)
+@pytest.mark.parametrize("name", often([*MORE], ["dense", "sparse", "wide"]))
 def test_contacts_without_a_jacobian(name):
     """Where rows are ours, the solver computes normal and tangents itself: edges are sums of them."""
     turns = set()
@@ -167,7 +169,7 @@ def test_who_writes_the_jacobian_of_contacts():
         assert not frames_in_solver(stages)
 
 
-@pytest.mark.parametrize("name", [*MORE, *LIMITED])
+@pytest.mark.parametrize("name", often([*MORE, *LIMITED], ["dense", "sparse", "wide", *LIMITED]))
 def test_fewer_iterations_from_the_solution(name):
     warm, cold = (solved(name, warmth).solver_niter.numpy() for warmth in (1.0, 0.0))
     assert warm.max() == 1
@@ -216,7 +218,7 @@ def test_iteration_limit_is_flagged(name):
     assert np.all(data.solver_niter.numpy() == 1)
 
 
-@pytest.mark.parametrize("name", [*MORE, *LIMITED])
+@pytest.mark.parametrize("name", often([*MORE, *LIMITED], ["dense", "sparse", "wide", *LIMITED]))
 def test_a_step_ends_where_the_cost_is_least(name):
     """The first step from zero ends at x, along x: there the slope, x' gradient, is zero."""
     engine, data = on_device(name, 0.0)
@@ -301,7 +303,7 @@ def test_engine_agrees_in_random_motion(key):
         if step % 15 < 14:
             continue
         results = []
-        mjw.forward(model, data)
+        engine_alone(mjw.forward)(model, data)
         for solve, tolerance in ((launch_solve, own), (solver.solve, 0.0 * own)):
             model.opt.tolerance.assign(tolerance)
             data.qacc.fill_(np.nan)

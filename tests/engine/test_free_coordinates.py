@@ -386,8 +386,12 @@ GHOST, RISE = '"ghost" joint2="knee"', 'joint1="rise" polycoef=".01 0 0 0 0"'
     ("changes", "reason"),
     [
         ({GHOST: '"ghost" joint2="rise"', RISE: 'joint1="rise" joint2="ghost"'}, "in a ring"),
-        ({"<flag": '<flag energy="enable"'}, "energy is computed"),
-        ({'timestep="0.002"': 'timestep="0.002" cone="elliptic"'}, "the friction cone is elliptic"),
+        pytest.param({"<flag": '<flag energy="enable"'}, "energy is computed", marks=pytest.mark.slow),
+        pytest.param(
+            {'timestep="0.002"': 'timestep="0.002" cone="elliptic"'},
+            "the friction cone is elliptic",
+            marks=pytest.mark.slow,
+        ),
         ({"</actuator>": ""}, ""),
     ],
 )

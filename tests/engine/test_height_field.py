@@ -7,7 +7,7 @@ import mujoco_warp as mjw
 import numpy as np
 import pytest
 import warp as wp
-from stepping import launch_place
+from stepping import engine_alone, launch_place
 
 from myowarp.engine.ground import height_field
 from myowarp.engine.stages.contact_search import ContactSearch
@@ -51,7 +51,7 @@ def contacts(model, qpos, heights):
     device = mjw.put_model(model)
     data = mjw.make_data(model, nworld=len(qpos), nconmax=64)
     data.qpos.assign(qpos)
-    mjw.kinematics(device, data)
+    engine_alone(mjw.kinematics)(device, data)
     ground = height_field(model, device)
     if ground is not None:
         ground.heights = wp.array(heights, dtype=float)

@@ -11,7 +11,8 @@ import warp as wp
 from configurations import configurations
 from mujoco_warp._src import forward
 from mujoco_warp._src.types import DisableBit, IntegratorType
-from stepping import launch_place, step
+from often import often
+from stepping import engine_alone, launch_place, step
 
 from myowarp.definitions.task import TASKS
 from myowarp.engine.stages import integrate as integrate_file
@@ -28,9 +29,10 @@ EFFECT = 10.0
 
 LEAF = '<body pos="0 0 0.1"><joint axis="1 0 0"/><joint axis="0 1 0"/><geom size="0.05"/>{inside}</body>'
 TREE = LEAF.format(inside=LEAF.format(inside=LEAF.format(inside="") * 2) + LEAF.format(inside=""))
+APART = '<mujoco><option><flag contact="disable"/></option>'
 TREES = {
-    "tree": f"<mujoco><worldbody>{TREE}</worldbody></mujoco>",
-    "two trees": f"<mujoco><worldbody>{TREE}<body pos='1 0 0'><freejoint/><geom size='0.1 0.2 0.3' "
+    "tree": f"{APART}<worldbody>{TREE}</worldbody></mujoco>",
+    "two trees": f"{APART}<worldbody>{TREE}<body pos='1 0 0'><freejoint/><geom size='0.1 0.2 0.3' "
     "type='ellipsoid'/></body></worldbody></mujoco>",
 }
 MACHINE = """
@@ -183,7 +185,9 @@ def test_bits_of_a_world_depend_on_no_other(integrator):
         np.testing.assert_array_equal(apart, together[field], err_msg=field)
 
 
-@pytest.mark.parametrize("flags", ["-march=native -DMYOWARP_LANES=1", "-DMYOWARP_LANES=4"])
+@pytest.mark.parametrize(
+    "flags", ["-march=native -DMYOWARP_LANES=1", pytest.param("-DMYOWARP_LANES=4", marks=pytest.mark.slow)]
+)
 def test_narrow_registers_leave_the_same_bits(flags, monkeypatch):
     """As where a compiler or a machine has none; other flags are another key of the cache."""
     host = machine("joints", "Euler")
@@ -212,7 +216,7 @@ def test_solution_is_that_of_the_dense_system(name, implicit_actuators):
         scene = scene_of(host)
         model, data = scene.model, scene.data
         data.qpos.assign(data.qpos.numpy() + rng.normal(size=(NUM_WORLDS, host.nq)))
-        mjw.fwd_position(model, data)
+        engine_alone(mjw.fwd_position)(model, data)
         damping = rng.uniform(0.0, 1.0, (NUM_WORLDS, host.nv))
         model.dof_damping = wp.array(damping, dtype=float)
         data.efc.Ma.assign(rng.normal(size=(NUM_WORLDS, host.nv)))
@@ -246,7 +250,7 @@ def test_bookkeeping_is_that_of_the_engine(integrator, contacts, found):
             data = scene.data
             for field, values in states.items():
                 getattr(data, field).assign(values)
-            mjw.forward(scene.model, data)
+            engine_alone(mjw.forward)(scene.model, data)
             data.naconmax = 4
             data.nacon.fill_(contacts), data.ncollision.fill_(found)
             data.nefc.assign(np.arange(NUM_WORLDS) % 3)
@@ -287,7 +291,7 @@ TASK_STEPS = {
 }
 
 
-@pytest.mark.parametrize("key", TASK_STEPS)
+@pytest.mark.parametrize("key", often([*TASK_STEPS], ["myoHandPoseRandom-v0"]))
 def test_tasks_end_their_steps_as_the_engine_does(key):
     """From states of motion, with the slopes of our muscles; and from the second step on."""
     sim = Simulation(

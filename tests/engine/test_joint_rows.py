@@ -15,7 +15,7 @@ from mujoco_warp._src.types import (
     DisableBit,
     OverflowType,
 )
-from stepping import launch_place
+from stepping import engine_alone, launch_place
 
 from myowarp.engine.stages.constraint_rows import ConstraintRows
 
@@ -95,8 +95,8 @@ def on_device(name, capacity="rows", per_world=()):
     data = mjw.make_data(host, nworld=WORLDS, njmax=njmax, njmax_nnz=njmax_nnz, nconmax=16)
     data.qpos.assign([state.qpos for state in states(name)])
     data.qvel.assign([state.qvel for state in states(name)])
-    mjw.fwd_position(model, data)
-    mjw.com_vel(model, data)
+    engine_alone(mjw.fwd_position)(model, data)
+    engine_alone(mjw.com_vel)(model, data)
     rng = np.random.default_rng(5)
     for part in per_world:
         owner = model.opt if part == "timestep" else model

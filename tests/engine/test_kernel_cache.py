@@ -1,6 +1,7 @@
 """Machine code on disk: what was damaged is compiled anew, and a folder that can be written is found."""
 
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -27,14 +28,22 @@ def triple_and_one(values: wp.array[float]):
     values[i] = 3.0 * values[i] + 1.0
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory):
     """The folder of a module that was compiled just now."""
     wp.init()
-    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
-    loaded()
-    (found,) = tmp_path.glob("wp_triple_and_one*")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(wp.config, "kernel_cache_dir", str(tmp_path_factory.mktemp("kernels")))
+        loaded()
+        (found,) = Path(wp.config.kernel_cache_dir).glob("wp_triple_and_one*")
     return found
+
+
+@pytest.fixture
+def folder(compiled, tmp_path, monkeypatch):
+    """A copy of it where Warp looks."""
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    return Path(shutil.copytree(compiled, tmp_path / compiled.name))
 
 
 def loaded():

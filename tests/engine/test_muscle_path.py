@@ -8,6 +8,7 @@ import myo_sim
 import numpy as np
 import pytest
 import warp as wp
+from stepping import engine_alone
 
 from myowarp.definitions.body import BODIES
 from myowarp.engine.stage import first_reason
@@ -158,8 +159,8 @@ def follow_paths(model, qpos, batch_sizes=None, qvel=0.0, edit=None):
         data.qpos.assign(qpos)
         data.qvel.fill_(0.0)
         data.qvel.assign(np.broadcast_to(qvel, (worlds, model.nv)).astype(np.float32))
-        mjw.kinematics(device_model, data)
-        mjw.com_pos(device_model, data)
+        engine_alone(mjw.kinematics)(device_model, data)
+        engine_alone(mjw.com_pos)(device_model, data)
         for name in FIELDS:
             getattr(data, name).fill_(np.nan)
         paths.launch()

@@ -21,7 +21,7 @@ MOTIONS = ("subtree_com", "cinert", "crb", "cdof", "cdof_dot", "cvel", "M")
 FORCES = ("qfrc_bias", "qfrc_spring", "qfrc_damper", "qfrc_passive")
 TREES = """
 <mujoco>
-  <option {option}/>
+  <option {option}><flag contact="disable"/></option>
   <worldbody>
     <geom pos="1 2 3" size=".1"/>
     <body mocap="true" pos=".1 .2 .3" quat="1 2 0 0"><geom size=".1" contype="0" conaffinity="0"/>

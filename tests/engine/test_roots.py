@@ -93,11 +93,18 @@ def placed(sim, model):
     return qpos.astype(float), qvel.astype(float), force.astype(float)
 
 
-@pytest.mark.parametrize("stages", [(), None])
+ENGINE = pytest.mark.parametrize("stages", [pytest.param((), marks=pytest.mark.slow), None])
+"""The engine's kernels compile for every number of degrees of freedom; test_free_coordinates has others."""
+
+
+@ENGINE
 @pytest.mark.parametrize(
     ("integrator", "more"),
-    [("Euler", ""), ("implicitfast", ""), ("Euler", 50 * FINGER)],
-    ids=["Euler", "implicitfast", "63 dofs"],
+    [
+        pytest.param("Euler", "", id="Euler"),
+        pytest.param("implicitfast", "", id="implicitfast"),
+        pytest.param("Euler", 50 * FINGER, id="63 dofs", marks=pytest.mark.slow),
+    ],
 )
 def test_steps_are_those_of_mujoco_c(tmp_path, integrator, more, stages):
     """With contacts and limits; in the document a body has other moments of inertia than in the model."""
@@ -132,7 +139,7 @@ def test_steps_are_those_of_mujoco_c(tmp_path, integrator, more, stages):
     assert np.median(np.abs(sim.scene.data.qpos.numpy() - ends).max(axis=1)) < MOTION
 
 
-@pytest.mark.parametrize("stages", [(), None])
+@ENGINE
 def test_accelerations_of_joints_that_follow(tmp_path, stages):
     """M_r u'' = J'(forces - M a), beside a free root, a ball and three hinges that turn like one."""
     sim = simulated(tmp_path, NOTHING, stages, more=TRIPLE, equality=TIE, flags=FREE)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 import pytest
+from often import often
 from stepping import forward
 
 from myowarp.sim.simulation import Simulation
@@ -83,7 +84,7 @@ def height_of_touch(model, pose):
     return high
 
 
-@pytest.mark.parametrize("ground", GROUNDS)
+@pytest.mark.parametrize("ground", often([*GROUNDS], ["ramp", "stairs"]))
 def test_force_of_the_ground(ground, record_property):
     """Force and moment of the ground on the root are those in MuJoCo C, as is the number of contacts."""
     start = {"start_pose": STEPPING_POSE, "start_velocity": STEPPING_VELOCITY}

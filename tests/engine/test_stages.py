@@ -112,7 +112,9 @@ def test_bodies_with_conditions(key, condition):
     assert MusclePath in kinds(simulation(key, conditions=condition).shards[0].stages)
 
 
-@pytest.mark.parametrize("key", ["myoElbowPose1D6MRandom-v0", "myoFingerPoseFixed-v0"])
+@pytest.mark.parametrize(
+    "key", ["myoElbowPose1D6MRandom-v0", pytest.param("myoFingerPoseFixed-v0", marks=pytest.mark.slow)]
+)
 def test_steps_are_those_of_the_engine(key):
     """With random actions, the same trajectory; the finger pushes its tendons to their limits."""
     ends, start = [], None

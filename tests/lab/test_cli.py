@@ -176,11 +176,8 @@ def test_help_of_a_step_is_its_own(run, monkeypatch, name):
 @pytest.mark.parametrize(
     ("step", "option"),
     [
-        *(
-            ("forces", option)
-            for option in ("--strength", "--draws", "--cpus", "--markers", "--fill", "--emg", "--ray")
-        ),
-        *(("study", name) for name in ("--span", "--residual", "--motion", "--strength")),
+        *(("forces", option) for option in ("--strength", "--markers", "--emg")),
+        ("study", "--span"),
         *(("dynamics", "--reserve"), ("emg", "--reserve"), ("analyze", "--loads")),
     ],
 )

@@ -23,6 +23,7 @@ import myowarp
 from benchmarks import cohort_columns, readme, result_pages
 from myowarp import extras, motion
 from myowarp.apps.cli import main as cli
+from myowarp.apps.reports import motion as motion_page
 from myowarp.apps.studies.audit import tasks as audit_command
 from myowarp.definitions.body import BODIES
 from myowarp.tasks.outside import find_task
@@ -365,6 +366,7 @@ def test_every_command_runs(page, lines, found, tmp_path, monkeypatch, run, requ
     monkeypatch.chdir(tmp_path)
     for kind in run_page:
         monkeypatch.setattr(kind, "run", visited)
+    monkeypatch.setattr(motion_page, "DRAWN", 2)  # panels of a table; ten take a second to draw
     every = audit_command.find_jobs
     monkeypatch.setattr(audit_command, "find_jobs", lambda *which: [min(every(*which), key=quickest)])
     for line in lines:

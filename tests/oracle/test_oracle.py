@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import warp as wp
 from contact_oracle import KEYS, recorded_ids
-from stepping import repeated_step
+from stepping import engine_alone, repeated_step
 
 from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
@@ -64,7 +64,7 @@ def written(sim, record, prefix, steps):
     everywhere = wp.ones(sim.num_worlds, dtype=bool)
     sim.transition.obs.fill_(np.nan)
     sim.transition.terms.fill_(np.nan)
-    mjw.kinematics(sim.scene.model, data)
+    engine_alone(mjw.kinematics)(sim.scene.model, data)
     sim.shards[0].program.observe(everywhere, sim.transition.obs)
     sim.shards[0].launch_scoring()
     return n

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import warp as wp
 from configurations import configurations
+from stepping import engine_alone
 
 from myowarp.definitions.task import TASKS
 from myowarp.sim.simulation import Simulation
@@ -147,7 +148,7 @@ def take_postures(sim):
     rng, model = np.random.default_rng(2), sim.scene.oracle
     sim.scene.data.qpos.assign(configurations(model, sim.scene.spec.start(model), NUM_WORLDS, 0))
     sim.scene.muscles.activation.assign(rng.uniform(size=(NUM_WORLDS, 39)))
-    mjw.kinematics(sim.scene.model, sim.scene.data)
+    engine_alone(mjw.kinematics)(sim.scene.model, sim.scene.data)
 
 
 @pytest.mark.parametrize("key", CORRECTED)

@@ -4,7 +4,6 @@ import copy
 from functools import lru_cache
 
 import mujoco
-import mujoco_warp as mjw
 import numpy as np
 import pytest
 from configurations import configurations
@@ -120,7 +119,7 @@ def test_pushed_ball(version, true_inertia):
     push = np.zeros((NUM_WORLDS, oracle.nv))
     push[:, 29], push[:, 33] = force, force * radius  # along x, about y
     data.qfrc_applied.assign(push)
-    mjw.forward(model, data)
+    forward(sim.scene, sim.shards[0].stages)
     data.qfrc_applied.zero_()
     linear, angular = data.qacc.numpy()[:, 29], data.qacc.numpy()[:, 33]
     np.testing.assert_allclose(linear, force / mass, rtol=ACCELERATION_TOLERANCE)

@@ -9,6 +9,7 @@ import warp as wp
 from elbows import KEY, NUM_WORLDS, States, in_c, worn
 from reference import exoskeleton as reference
 from reference.load import gravity_torque
+from stepping import engine_alone
 
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.condition import resolve
@@ -64,7 +65,7 @@ def test_torque_is_a_share_of_the_muscles():
         sim = worn(Exoskeleton(assistance, **BARE))
         data = states.put(sim)
         data.actuator_force.fill_(np.nan)
-        mjw.forward(sim.scene.model, data)
+        engine_alone(mjw.forward)(sim.scene.model, data)
         found.append(data.actuator_force.numpy()[:, -1].copy())
         assert sim.scene.oracle.actuator(sim.scene.oracle.nu - 1).name == "exoskeleton"
         shown = sim.shards[0].effects[0].info["exo_torque"].numpy()
@@ -87,7 +88,7 @@ def test_elbow_moves_as_with_stronger_muscles(physics):
     )
     expected, alone = (np.array([data.qvel for data in rows]) for rows in (expected, alone))
     data = states.put(sim)
-    mjw.step(sim.scene.model, data)
+    engine_alone(mjw.step)(sim.scene.model, data)
     scale = np.abs(expected - states.qvel).max()
     assert np.abs(data.qvel.numpy() - expected).max() <= QVEL * scale
     assert np.median(np.abs(alone - expected)) > EFFECT * QVEL * scale
@@ -100,7 +101,7 @@ def test_acceleration_is_that_of_the_applied_torque():
     rows = in_c(worn(num_worlds=1).scene.oracle, states, mujoco.mj_forward, torque=torque)
     expected = np.array([data.qacc for data in rows])
     data = states.put(sim)
-    mjw.forward(sim.scene.model, data)
+    engine_alone(mjw.forward)(sim.scene.model, data)
     assert np.abs(data.qacc.numpy() - expected).max() <= TORQUE * np.abs(expected).max()
 
 
@@ -119,7 +120,7 @@ def test_implicit_integrator_needs_the_slope():
     for control in (launch, without_slope):
         sim.scene.model.callback.control = control
         data = states.put(sim)
-        mjw.step(sim.scene.model, data)
+        engine_alone(mjw.step)(sim.scene.model, data)
         found.append(data.qvel.numpy().copy())
     scale = np.abs(found[0] - states.qvel).max()
     assert np.abs(found[1] - found[0]).max() > EFFECT * QVEL * scale
@@ -129,7 +130,7 @@ def test_weak_and_torn_muscles_are_helped_less():
     """The torque follows what other conditions leave of the muscles."""
     states = States()
     weak = states.put(sim := worn((Exoskeleton(0.5, **BARE), "sarcopenia")))
-    mjw.forward(sim.scene.model, weak)
+    engine_alone(mjw.forward)(sim.scene.model, weak)
     force = weak.actuator_force.numpy().astype(np.float64)
     moment = np.array([_dense(d.model, d) for d in in_c(sim.scene.oracle, states, mujoco.mj_forward)])
     expected = reference.torque(0.5, -moment[:, :6], -force[:, :6])
@@ -168,7 +169,7 @@ def test_forearm_part_pulls_by_its_weight():
     for mass in (0.111, 0.0):
         sim = worn(Exoskeleton(0.0, forearm_mass=mass))
         data = states.put(sim)
-        mjw.forward(sim.scene.model, data)
+        engine_alone(mjw.forward)(sim.scene.model, data)
         held.append(data.qfrc_bias.numpy()[:, 0].astype(np.float64))
     spec = full_spec(TASKS[KEY])
     spec.body(BODIES["elbow"].exoskeleton.limb).add_site(name="center", pos=reference.forearm_part()[1])
@@ -199,7 +200,7 @@ def test_moves_like_mujoco_compiled_with_the_part():
     )
     data = states.put(sim)
     for _ in range(steps):
-        mjw.step(sim.scene.model, data)
+        engine_alone(mjw.step)(sim.scene.model, data)
     assert np.abs(data.qpos.numpy() - expected).max() <= 1e-5  # rad
     assert np.median(np.abs(bare - expected)) > EFFECT * 1e-5
 

@@ -6,6 +6,7 @@ import mujoco_warp as mjw
 import numpy as np
 import pytest
 from elbows import KEY, NUM_WORLDS, States, in_c, worn
+from stepping import engine_alone
 
 from myowarp.models.conditions.exoskeleton import Exoskeleton
 
@@ -47,7 +48,7 @@ def test_torque_moves_the_elbow():
     sim.action.assign(action)
     sim.shards[0].launch_action()
     data = states.put(sim)
-    mjw.forward(sim.scene.model, data)
+    engine_alone(mjw.forward)(sim.scene.model, data)
     assert np.abs(data.qacc.numpy() - expected).max() <= TORQUE * np.abs(expected).max()
     np.testing.assert_allclose(data.actuator_force.numpy()[:, 6], torque, rtol=ROUNDING)
 

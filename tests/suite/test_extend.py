@@ -206,7 +206,6 @@ def check_state(sim, row, dt):
     return -data.actuator_force, np.array(places)
 
 
-@pytest.mark.slow
 def test_quantities_are_those_of_the_state_in_mujoco():
     """In every observation, the first of an episode included."""
     task = rich(sites=sites_of("elbow"))

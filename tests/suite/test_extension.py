@@ -129,7 +129,7 @@ def columns(env):
     return {c.name: slice(end - c.size, end) for c, end in zip(env.unwrapped.sim.columns, ends, strict=True)}
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", often(FILES, (*FEW, "condition.py:fading", "free_root.py:reach")))
 def test_made_stepped_and_rendered(folder, name):
     """Through Gymnasium, for any split of the worlds, and the seed decides."""
     key, (options, _) = key_of(folder, name), FILES[name]
@@ -301,6 +301,7 @@ def test_body_with_a_free_root(folder):
             np.testing.assert_allclose(row[where["reach_err"]], (0.3, 0.0, 1.4) - foot, atol=ENGINE)
 
 
+@pytest.mark.slow
 def test_a_policy_on_a_free_root_is_evaluated(folder, caplog):
     """Which points its foot reaches is judged, too: with a free root every point."""
     key = key_of(folder, "free_root.py:reach")

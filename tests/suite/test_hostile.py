@@ -203,7 +203,7 @@ def test_estimated_memory_is_what_the_arrays_take():
     assert memory.num_bytes(sim.scene.data) == pytest.approx(forty, rel=0.05)
 
 
-@pytest.mark.parametrize("physics", ["parity", "fast"])
+@pytest.mark.parametrize("physics", ["fast", pytest.param("parity", marks=pytest.mark.slow)])
 def test_legs_are_asked_for_nearly_all_that_they_take(physics):
     """Beside Warp's count of arrays; under `fast` they have free coordinates, too."""
     key = "myoLegStandRandom-v0"

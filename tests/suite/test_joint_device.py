@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from configurations import configurations
 from elbows import KEY, NUM_WORLDS, States, in_c, worn
+from stepping import engine_alone
 
 from myowarp.definitions.condition import resolve
 from myowarp.definitions.task import TASKS
@@ -36,7 +37,7 @@ def test_a_spring_with_a_limit_is_that_of_mujoco_c():
     expected = np.array([data.qacc for data in rows])
     sim = worn(JointDevice(JOINT, stiffness, rest=rest, limit=limit))
     data = states.put(sim)
-    mjw.forward(sim.scene.model, data)
+    engine_alone(mjw.forward)(sim.scene.model, data)
     assert np.abs(data.qacc.numpy() - expected).max() <= TORQUE * np.abs(expected).max()
     shown = sim.shards[0].effects[0].torque.numpy()
     np.testing.assert_allclose(shown, torque, rtol=0, atol=ROUNDING * limit)
@@ -74,7 +75,7 @@ def test_assistance_at_one_of_many_joints(key, joint):
     sim.scene.data.qpos.assign(qpos)
     sim.scene.data.qvel.zero_()  # legs start to walk
     sim.scene.muscles.activation.assign(act)
-    mjw.forward(sim.scene.model, sim.scene.data)
+    engine_alone(mjw.forward)(sim.scene.model, sim.scene.data)
     found = sim.scene.data.qfrc_actuator.numpy()
     scale = np.abs(expected[:, dof]).max()
     assert scale > 1.0  # N m

@@ -11,7 +11,7 @@ import warp as wp
 from configurations import configurations
 from often import covering, often
 from reference import mujoco_muscle as reference
-from stepping import step
+from stepping import engine_alone, step
 
 import myowarp.tasks  # noqa: F401
 from myowarp.definitions.body import BODIES
@@ -51,6 +51,8 @@ V_STEP = 1e-6  # m/s, of central differences
 
 FIRST = {TASKS[key].body: TASKS[key] for key in reversed(list(TASKS))}
 BODY_TASKS = {body: spec for body, spec in FIRST.items() if BODIES[body].groups}
+OFTEN = pytest.mark.parametrize("body", often([*BODY_TASKS], [*BODY_TASKS.keys() - {"contact_hand"}]))
+"""The hand that touches things has the muscles of the other one."""
 """The first task of each body that has muscles."""
 
 
@@ -178,7 +180,7 @@ def stepped(body, physics):
 
 
 @pytest.mark.parametrize("physics", PHYSICS)
-@pytest.mark.parametrize("body", BODY_TASKS)
+@OFTEN
 def test_one_step_equals_mujoco(body, physics):
     scene, states, (force, activation, qvel) = stepped(body, physics)
     ids = scene.muscles.actuator_id
@@ -195,7 +197,7 @@ def test_one_step_equals_mujoco(body, physics):
 
 
 @pytest.mark.parametrize("physics", PHYSICS)
-@pytest.mark.parametrize("body", BODY_TASKS)
+@OFTEN
 def test_kernel_equals_reference(body, physics):
     scene, states, _ = stepped(body, physics)
     model, ids = scene.oracle, scene.muscles.actuator_id
@@ -206,7 +208,7 @@ def test_kernel_equals_reference(body, physics):
     assert error.max() <= KERNEL_FORCE
 
 
-@pytest.mark.parametrize("body", BODY_TASKS)
+@OFTEN
 def test_force_comes_from_the_callback(body):
     scene = muscle_scene(body, 33, "parity", "mujoco")
     states = States(scene.oracle, 33)
@@ -214,12 +216,12 @@ def test_force_comes_from_the_callback(body):
     load(scene, states)
     scene.model.actuator_biasprm.zero_()
     scene.model.callback.control = None
-    mjw.forward(scene.model, scene.data)
+    engine_alone(mjw.forward)(scene.model, scene.data)
     difference = np.abs(scene.data.actuator_force.numpy() - force)[:, scene.muscles.actuator_id]
     assert np.all(difference.max(axis=0) > EFFECT * ENGINE_FORCE * peaks(scene.oracle))
 
 
-@pytest.mark.parametrize("body", BODY_TASKS)
+@OFTEN
 def test_implicit_integrator_needs_the_force_slope(body):
     """The same force without kv moves the velocity after one step by much more than the tolerance."""
     scene = muscle_scene(body, 33, "fast", "mujoco")
@@ -235,7 +237,7 @@ def test_implicit_integrator_needs_the_force_slope(body):
 
     load(scene, states)
     scene.model.callback.control = without_slope
-    mjw.step(scene.model, scene.data)
+    engine_alone(mjw.step)(scene.model, scene.data)
     scale = np.abs(qvel - states.qvel).max()
     assert np.abs(scene.data.qvel.numpy() - qvel).max() > EFFECT * QVEL * scale
 
@@ -269,7 +271,7 @@ def test_parameters_of_each_world(widened):
         values = wp.array(prm[..., VARIED[name]], dtype=float, device="cpu")
         setattr(params, name, values)
     load(scene, states)
-    mjw.forward(scene.model, scene.data)
+    engine_alone(mjw.forward)(scene.model, scene.data)
     force = scene.data.actuator_force.numpy()[:, ids]
     expected = force_from_path(scene, states.activation, gain, bias)
     assert np.abs((force - expected) / peaks(model)).max() <= KERNEL_FORCE
@@ -418,7 +420,7 @@ def test_every_model_pulls_and_resets_by_mask(pair):
     for name in ("qpos", "qvel", "activation", "ctrl"):
         getattr(states, name)[-1] = getattr(states, name)[0]
     load(scene, states)
-    mjw.forward(scene.model, scene.data)
+    engine_alone(mjw.forward)(scene.model, scene.data)
     force = scene.data.actuator_force.numpy()[:, scene.muscles.actuator_id]
     assert np.isfinite(scene.model.actuator_biasprm.numpy()).all()
     assert np.all(force <= KERNEL_FORCE * peaks(scene.oracle))

@@ -5,6 +5,7 @@ import mujoco_warp as mjw
 import numpy as np
 import pytest
 import warp as wp
+from stepping import engine_alone
 
 from myowarp.definitions.task import TASKS
 from myowarp.sim.build import full_spec
@@ -129,7 +130,7 @@ def test_rates_of_the_free_pen_are_those_of_the_world():
     qpos[:, -4:] = quat / np.linalg.norm(quat, axis=1, keepdims=True)
     data.qpos.assign(qpos)
     data.qvel.assign(qvel)
-    mjw.kinematics(sim.scene.model, data)
+    engine_alone(mjw.kinematics)(sim.scene.model, data)
     sim.shards[0].program.observe(wp.ones(NUM_WORLDS, dtype=bool), sim.transition.obs)
     rates = sim.transition.obs.numpy()[:, 26:32] / spec.control_dt
     moving = mujoco.MjData(sim.scene.oracle)

@@ -352,7 +352,7 @@ def test_environment_writes_the_episode_on_pictures(mode):
         each.reset(seed=0)
     time = total = 0.0
     actions = np.random.default_rng(0).uniform(-1, 1, (8, 2, 6)).astype(np.float32)
-    for action in actions:
+    for number, action in enumerate(actions):
         if mode == "disabled" and time > 0.05:
             for each in (env, plain):
                 each.reset(options={"reset_mask": np.array([True, True])})
@@ -365,6 +365,8 @@ def test_environment_writes_the_episode_on_pictures(mode):
             time = total = 0.0
         success = "  success" if info["success"][1] and time else ""
         assert env.captions.lines() == [[f"{time:.2f} s  return {total:.1f}{success}"]]
+        if number % 4:
+            continue  # a picture takes a tenth of a second
         try:
             (written,), (drawn,) = env.render(), plain.render()
         except NoGraphicsError as error:

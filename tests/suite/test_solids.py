@@ -40,7 +40,7 @@ def compiled(kind, size, free):
     return model
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def find_axes(inertia: wp.array[wp.mat33], axes: wp.array[wp.mat33]):
     """Of one tensor in each thread."""
     i = wp.tid()

@@ -6,6 +6,7 @@ import mujoco_warp as mjw
 import numpy as np
 import pytest
 from often import often
+from stepping import engine_alone
 
 from myowarp.definitions.task import TASKS
 from myowarp.sim.build import full_spec
@@ -93,7 +94,7 @@ def test_worlds_are_drawn_with_their_own_objects(key):
     """Size, place or turn of what a world drew: the geometry of the picture is that of the simulation."""
     sim = Simulation(TASKS[key], 2, device="cpu", graph=False, progress=False)
     sim.reset(seeds=np.arange(2))
-    mjw.kinematics(sim.scene.model, sim.scene.data)
+    engine_alone(mjw.kinematics)(sim.scene.model, sim.scene.data)
     model, oracle = sim.full_model, sim.scene.oracle
     drawn = mujoco.MjData(model)
     for world in range(2):

@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.definitions.scene import Scene
+from myowarp.engine.patch import engine_kernels_alone
 from myowarp.sim.signals import Signals
 from myowarp.sim.simulation import Simulation
 
@@ -74,7 +75,7 @@ def _paths(scene: Scene, world: int) -> list[np.ndarray]:
     if scene.paths is None:
         return []
     oracle, data = scene.oracle, scene.data
-    with wp.ScopedDevice(scene.device):
+    with wp.ScopedDevice(scene.device), engine_kernels_alone():
         mjw.kinematics(scene.model, data)
         mjw.com_pos(scene.model, data)
         scene.paths.launch(scene.model, data)
