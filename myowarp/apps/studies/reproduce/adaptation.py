@@ -44,7 +44,7 @@ KINDS: dict[str, dict[str, Any]] = {
     MEMORY: {"memory": 32},
     RETRAINED: {"observe": ("parameters",)},
 }
-"""How policies of a change are trained: beside its settings what they observe and remember."""
+"""Settings of each kind of policy: what it observes and remembers."""
 ELBOW, FINGER = "myoElbowPose1D6MRandom-v0", "myoFingerReachRandom-v0"
 HAND, KEY, HOLD = "myoHandReachRandom-v0", "myoHandKeyTurnFixed-v0", "myoHandObjHoldFixed-v0"
 NAMES = {ELBOW: "elbow", FINGER: "finger", HAND: "hand", KEY: "key", HOLD: "hold"}
@@ -64,7 +64,7 @@ CHANGES = {ELBOW: (WEAKNESS, DEVICE), FINGER: (WEAKNESS,), HAND: (TRANSFER,), KE
 CASES: tuple[Case, ...] = tuple((task, change) for task, changes in CHANGES.items() for change in changes)
 WITH_RETRAINED = ((ELBOW, WEAKNESS), (ELBOW, DEVICE))
 CLAIMS = {BLIND: "trained", TOLD: TOLD, MEMORY: MEMORY}
-"""What is claimed of the gains of a kind."""
+"""Claims about the gain of a kind over the next worse one."""
 SEEDS = (0, 1, 2)
 QUICK_EPISODES = 32
 KEPT = 0.9  # share of what retraining solves
