@@ -16,6 +16,8 @@ from myowarp.apps.cli.options import Environment, Overwrite, Policy, Recording, 
 from myowarp.definitions.registry import check_least
 from myowarp.view.drawing.muscles import QUANTITIES
 
+LONGEST = 32  # characters of a title
+
 
 @dataclass
 class Record:
@@ -176,9 +178,6 @@ class Record:
             self.output, recorded, self.color or recorded.colored, self.size, self.fps, console, self.steps
         )
         console.print(f"Saved {self.output}")
-
-
-LONGEST = 32  # characters of a title
 
 
 def told_apart(names: list[str]) -> list[str]:

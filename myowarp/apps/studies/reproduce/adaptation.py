@@ -182,14 +182,14 @@ def findings(found: Mapping[Case, list[dict[str, np.ndarray]]]) -> Findings:
             lines.append(f"* {case}: {name} {np.mean(means):+.2f} points over {over} ({note}).")
         if RETRAINED in names:
             retrained, memory = (after[:, names.index(name)] for name in (RETRAINED, MEMORY))
-            where["kept"] += [short] if (memory >= KEPT * retrained).all() else []
+            if (memory >= KEPT * retrained).all():
+                where["kept"].append(short)
     episodes = next(iter(found.values()))[0]["shares"].shape[1]
     seeds = ", ".join(f"{len(runs)} of {NAMES[task]} ({change})" for (task, change), runs in found.items())
-    measured = {"lines": "\n".join(lines), "episodes": episodes, "seeds": seeds, "cases": len(found)}
+    measured = {"lines": "\n".join(lines), "episodes": episodes, "seeds": seeds}
     measured |= {name: ", ".join(cases) or "nobody" for name, cases in where.items()}
-    holds: dict[str, bool | None] = {name: len(cases) == len(found) for name, cases in where.items()}
-    compared = [case for case in found if case in WITH_RETRAINED]
-    holds["kept"] = len(where["kept"]) == len(compared) if compared else None
+    judged = dict.fromkeys(CLAIMS.values(), len(found)) | {"kept": sum(c in WITH_RETRAINED for c in found)}
+    holds = {name: len(where[name]) == number if number else None for name, number in judged.items()}
     return Findings(rows, holds, lambda figure: draw(figure, found), measured)
 
 
