@@ -4,6 +4,7 @@ import gc
 import re
 import sys
 from functools import cache
+from pathlib import Path
 
 import pytest
 from clusters import cluster  # noqa: F401 (a fixture)
@@ -73,6 +74,10 @@ def pytest_runtest_setup(item):
 
 VERIFYING = ("test_cache.py", "test_own_paths.py", "test_stages.py", "test_verify.py")
 QUICK = "test_conditions.py"  # one or two seconds
+ALIKE = re.compile("Exo|Baoding|PenTwirl|KeyTurn|HandPose|motorFingerPose")
+"""Families of a kind, pose or object in contact, that another family shows as well."""
+RARE = Path(__file__).with_name("rare.txt")
+"""Long tests beside quicker ones of the same; each line is how a node id begins."""
 
 
 @pytest.hookimpl(wrapper=True)
@@ -97,9 +102,20 @@ def swept():
 
 @pytest.hookimpl(tryfirst=True)  # before slow ones are left out
 def pytest_collection_modifyitems(items):
-    """Leave large bodies to `make test-slow`, where a test is run for every body or task."""
+    """Leave to `make test-slow`: large bodies, families of a kind that another one shows, and RARE."""
+    shown = {function(item) for item in items if not ALIKE.search(item.name)}
+    rare = tuple(RARE.read_text().splitlines())
     for item in items:
-        case = item.callspec.id if hasattr(item, "callspec") else ""
-        searched = {"suite": large, "engine": large, "oracle": arms}.get(item.path.parent.name)
-        if searched and item.path.name != QUICK and searched().search(case):
+        folder, case = item.path.parent.name, item.callspec.id if hasattr(item, "callspec") else ""
+        searched = {"suite": large, "engine": large, "oracle": arms}.get(folder)
+        if (
+            (searched and item.path.name != QUICK and searched().search(case))
+            or (folder in ("suite", "engine") and ALIKE.search(case) and function(item) in shown)
+            or item.nodeid.removeprefix("tests/").startswith(rare)
+        ):
             item.add_marker(pytest.mark.slow)
+
+
+def function(item):
+    """Return the node id of a test without its case."""
+    return item.nodeid.partition("[")[0]

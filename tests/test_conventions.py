@@ -628,6 +628,14 @@ def test_tests_know_what_is_public():
     )
 
 
+def test_tests_that_are_left_to_the_slow_ones_are_there():
+    """A renamed test would come back to `make test` unseen."""
+    tests = Path(__file__).parent
+    for line in (tests / "rare.txt").read_text().splitlines():
+        file, *_, name = line.split("::")
+        assert re.search(rf"def {name.partition('[')[0]}\(", (tests / file).read_text()), line
+
+
 @pytest.mark.parametrize(
     "planted",
     [
