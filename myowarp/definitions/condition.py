@@ -4,7 +4,8 @@ A condition is described on the host by a `Condition`, whose parameters may diff
 at random and change over time (`Parameter`), and acts on the device as an `Effect`. What acts when follows
 from the stages, never from the order in which conditions are named:
 
-    action -> excitation -> [NOISE -> FATIGUE -> ROUTING] -> muscles x [STRENGTH, TRANSMISSION] -> [BODY] -> physics
+    action -> excitation -> [NOISE -> FATIGUE -> ROUTING] -> muscles x [STRENGTH, TRANSMISSION]
+    -> [BODY] -> physics
 """
 
 from __future__ import annotations

@@ -400,7 +400,9 @@ def test_the_first_sight_has_a_slider_and_a_title(served):
     with Chromium(USUAL_SCREEN) as window:
         window.open(served[1])
         window.wait_for("remaining strength")
-        label = "[...document.querySelectorAll('label')].find(e => e.innerText.trim() === 'remaining strength')"
+        label = (
+            "[...document.querySelectorAll('label')].find(e => e.innerText.trim() === 'remaining strength')"
+        )
         top, bottom = window.run(f"(b => [b.top, b.bottom])({label}.getBoundingClientRect())")
         assert 0 < top < bottom < USUAL_SCREEN[1]
         assert window.run("document.title") == "Elbow: pose · MyoWarp"
