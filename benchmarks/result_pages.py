@@ -144,7 +144,7 @@ def accuracy_table() -> str:
         found = {entry["preset"]: entry for entry in row["myowarp"]}
         cells = [(number(found[p]["step_ms"], 3), number(found[p]["joints_rad"])) for p in PRESETS]
         rows.append((family, *(cell for pair in cells for cell in pair)))
-    heads = (head for preset in PRESETS for head in (f"`{preset}`, step [ms]", "joints off [rad]"))
+    heads = (head for preset in PRESETS for head in (f"`{preset}`, step [ms]", "joint error [rad]"))
     return markdown(("family", *heads), rows)
 
 
