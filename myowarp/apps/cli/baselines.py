@@ -118,7 +118,7 @@ def _list(found: list[Baseline], as_json: bool) -> None:
     if as_json:
         print(json.dumps({baseline.task: {"runs": baseline.runs} for baseline in found}, indent=1))
         return
-    columns = [f"{drawn}{rule} [%]" for drawn in ("", "drawn, ") for rule in ("strict", "MyoSuite")]
+    columns = [f"{drawn}{rule} [%]" for drawn in ("", "drawn, ") for rule in ("strict", "paper")]
     table = Table(
         "task", "samples [M]", *columns, "today's trainer", box=SIMPLE, padding=(0, 1, 0, 0), show_edge=False
     )
@@ -134,7 +134,7 @@ def _list(found: list[Baseline], as_json: bool) -> None:
     console.print(table, soft_wrap=False)
     console.print(
         f"strict: episodes with {SUCCESSES['success']}, as `myowarp eval` counts; "
-        f"MyoSuite: {RULES[MYOSUITE]}.\n"
+        f"paper: {RULES[MYOSUITE]}, MyoSuite's rule.\n"
         "256 episodes with the policy's means as actions, and 256 with drawn ones, under parity physics; 1 of"
         " 1: all 256 are the same; -: not counted; *: a corrected task.\nyes: today's trainer made the"
         " policy, and `myowarp baselines run ID` makes it again; no: an earlier one did.\nA -v1 id without a"
