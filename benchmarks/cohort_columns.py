@@ -11,11 +11,11 @@ HEADS = ("column", "meaning", "entry", "condition", "may be")
 
 def row(name: str, column: CohortColumn) -> tuple[str, ...]:
     """Return what the table says of a column."""
-    more = ["drawn"] * column.draws + ["changing"] * column.changes
-    more += [f"empty where `{column.of}` is"] * bool(column.of)
+    more = ", ".join(["drawn"] * column.draws + ["changing"] * column.changes)
+    more += f"; empty if `{column.of}` is" * bool(column.of)
     meaning = f"{column.label} [{column.unit}]" if column.unit else column.label
     entry = column.expected().removesuffix(f" {column.unit}")
-    return f"`{name}`", meaning, entry, f"`{column.condition}`", ", ".join(more)
+    return f"`{name}`", meaning, entry, f"`{column.condition}`", more
 
 
 def page() -> str:

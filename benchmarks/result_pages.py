@@ -144,7 +144,7 @@ def accuracy_table() -> str:
         found = {entry["preset"]: entry for entry in row["myowarp"]}
         cells = [(number(found[p]["step_ms"], 3), number(found[p]["joints_rad"])) for p in PRESETS]
         rows.append((family, *(cell for pair in cells for cell in pair)))
-    heads = (head for preset in PRESETS for head in (f"`{preset}`, step [ms]", "joints off [rad]"))
+    heads = (head for preset in PRESETS for head in (f"`{preset}`, step [ms]", "joint error [rad]"))
     return markdown(("family", *heads), rows)
 
 
@@ -324,7 +324,15 @@ def paths_table() -> str:
         for row in read("opensim_paths")["models"]
     ]
     heads = ("length", "moment arm", "length in the step", "moment arm in the step")
-    return markdown(("model", "paths", *(f"{h} [mm]" for h in heads), "speed [%]", "jumps"), rows)
+    return markdown(("model", "paths", *(f"{h} [mm]" for h in heads), "speed [%]", "refused wraps"), rows)
+
+
+def worst_speed() -> dict[str, str]:
+    """Return the worst error of a path's speed in the step, and whose it is."""
+    found = [(row["step"]["velocity_share"], row["model"]) for row in read("opensim_paths")["models"]]
+    share, model = max(found, key=lambda one: float(one[0]["worst"]))
+    where = f"{share['where']}, {name_of(model)}"
+    return {"worst_speed": number(PERCENT * share["worst"]), "worst_speed_of": where}
 
 
 def acceleration_table() -> str:
@@ -405,6 +413,7 @@ def opensim() -> dict[str, Any]:
         "torques": torque_table(),
         "motions": motion_table(),
         "paths": paths_table(),
+        **worst_speed(),
         "accelerations": acceleration_table(),
         "power": power_table(),
         "stability": stability_table(),

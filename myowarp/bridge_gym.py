@@ -103,7 +103,7 @@ class MyoWarpVectorEnv(VectorEnv):
         progress: bool = True,
         rank: tuple[int, int] | None = None,
     ) -> None:
-        """Compile the task and its kernels; half a minute the first time, seconds later.
+        """Compile the task and its kernels; about a minute the first time, seconds later.
 
         Args:
             task: Name with version, such as "myoHandPoseRandom-v1"; `make_vec` fills it in. Or a whole

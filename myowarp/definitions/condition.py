@@ -4,7 +4,8 @@ A condition is described on the host by a `Condition`, whose parameters may diff
 at random and change over time (`Parameter`), and acts on the device as an `Effect`. What acts when follows
 from the stages, never from the order in which conditions are named:
 
-    action -> excitation -> [NOISE -> FATIGUE -> ROUTING] -> muscles x [STRENGTH, TRANSMISSION] -> physics
+    action -> excitation -> [NOISE -> FATIGUE -> ROUTING] -> muscles x [STRENGTH, TRANSMISSION]
+    -> [BODY] -> physics
 """
 
 from __future__ import annotations
@@ -30,8 +31,9 @@ if TYPE_CHECKING:
 class Phase(enum.IntEnum):
     """The place of a condition in a control step, in this order.
 
-    The first three change excitations once per control step; `STRENGTH` scales the active force of the
-    muscles, `TRANSMISSION` what their tendons pass on, `BODY` masses and what else moves the joints.
+    The first three change excitations once per control step (`stretch_reflex` in every physics step);
+    `STRENGTH` scales the active force of the muscles, `TRANSMISSION` the force that tendons transmit, `BODY`
+    changes masses and adds torques to joints.
     """
 
     NOISE = 0

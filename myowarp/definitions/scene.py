@@ -64,7 +64,7 @@ class Scene:
         muscles: The muscles of all worlds.
         keys: What random numbers are drawn from.
         qpos_start: Start configuration of an episode, shape (nq,).
-        reset: What episodes start from, one of `spec.RESETS`.
+        reset: What episodes start from, one of `definitions.task.RESETS`.
         actuator_kind: How an action becomes a control, MUSCLE or MOTOR (linear), shape (nu,).
         capacity: Contacts and constraint rows that the arrays hold.
         batched: Fields of the model that each world has for itself, by the task and the conditions.

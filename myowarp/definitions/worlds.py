@@ -1,7 +1,7 @@
 """The worlds of a scene, and the arrays that it shares with the scenes of the others.
 
-On many cores the worlds are parts of one whole (`myowarp.sim.simulation`). A part has arrays of its own, but
-for what is written and read from outside: state, actions, results. These are rows of arrays over all worlds.
+On many cores the worlds are parts of one whole (`myowarp.sim.simulation`). A part owns its arrays, except
+those used from outside: state, actions and results are rows of arrays over all worlds.
 
 The whole may itself be one of several equal ranks, each in a process of its own: then worlds are numbered
 through all ranks, and parameters are given for all of their worlds.

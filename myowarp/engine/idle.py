@@ -2,8 +2,8 @@
 
 mujoco-warp launches kernels for tendon armature, springs, friction, gravity compensation and more whatever
 the model holds. On the CPU device these are a quarter of a hand's step. Each entry of `IDLE_WHEN` names a
-kernel and the condition under which it writes nothing that is read: what it reads is zero in the model, and
-no task or muscle condition gives it to each world. Because the names are the
+kernel and the condition under which it writes nothing that is read: its field is zero in the model, and no
+task or muscle condition sets that field per world. Because the names are the
 engine's own, `verify` trusts none of them before a pruned step has given the same state as a stock
 step: bit for bit on the CPU, to rounding on CUDA, where the engine's sums have no fixed order.
 """

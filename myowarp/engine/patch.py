@@ -1,8 +1,8 @@
 """Change what the engine's own stages launch, without changing the engine.
 
-They launch by `wp.launch` and `wp.launch_tiled`; for a block these pass every kernel through a function of
-ours first. How the engine finds shallow contacts is changed for good (`shallow_contacts`). What depends on
-private names of the engine does without them where they are gone, and says so once.
+They launch by `wp.launch` and `wp.launch_tiled`; inside a `with` block these pass every kernel through a
+function of ours first. How the engine finds shallow contacts is changed for good (`shallow_contacts`). If a
+private name of the engine is gone, its own stage runs, and one line says so.
 """
 
 import contextlib

@@ -1,8 +1,8 @@
 """Programs that run at the same time, each in a thread of its own.
 
-A thread that Python wakes waits for the interpreter, and so does the one that waits for it. The threads of a
-team stay in native code and wait there for each other: with Python's own locks, which are part of its stable
-interface and need no interpreter. No signal breaks off what they do together.
+A thread that Python wakes must first get hold of the interpreter; so must the thread that waits for its
+result. The threads of a team therefore stay in native code and wait there for each other, with Python's own
+locks, which are part of its stable interface and need no interpreter. No signal interrupts a team.
 
 To be woken takes as long as a few worlds do to step. Where there is a core for each, a thread therefore looks
 at its lock for a while before it sleeps; in between it yields its core, which a policy's threads may need.

@@ -1,7 +1,7 @@
 """Policy action in [-1, 1] to MuJoCo control.
 
-Muscles: excitation = 1 / (1 + exp(-5 (a - 0.5))), MyoSuite's map: 0 at rest, 0.924 at most. Motors of a
-body without muscles, and muscles where a task says so: linear onto their control range.
+Muscles: excitation = 1 / (1 + exp(-5 (a - 0.5))), MyoSuite's map: 0.001 at a = -1, 0.076 at 0, 0.924 at 1.
+Motors of a body without muscles, and muscles where a task says so: linear onto their control range.
 """
 
 import math

@@ -1,1 +1,1 @@
-"""Bodies and muscle models, and how a body is made small."""
+"""Bodies, muscle models and conditions, and points that a body's tips reach."""

@@ -2,11 +2,11 @@
 
     residual(target) = min over q in [low, high] of |tips(q) - target|
 
-with the norm over all 3 k coordinates of k tips, as the reach tasks score it. Newton's
-Levenberg-Marquardt solver looks for the minimum from several starts; each answer is clamped to the joint
+with the norm over all 3 k coordinates of k tips, as the reach tasks score it. The Levenberg-Marquardt solver
+of the library `newton` searches for the minimum from several starts; each answer is clamped to the joint
 ranges and its tips are computed again by MuJoCo in double precision. So a residual is an upper bound that
 the returned configuration attains: the search can call a reachable target unreachable, never the reverse.
-Muscles, gravity and contacts are not asked.
+Muscles, gravity and contacts are ignored.
 """
 
 from typing import TYPE_CHECKING

@@ -7,7 +7,9 @@
             total += excitation[muscle] * excitation[muscle]
         return total
 
-    myowarp.extend("myoElbowPose1D6MRandom-v0", "myElbowThrifty-v0", rewards={"effort": (-0.1, effort)})
+    myowarp.extend(
+        "myoElbowPose1D6MRandom-v0", "myElbowThriftyRandom-v0", rewards={"effort": (-0.1, effort)}
+    )
 
 The name of a parameter says what it is: one of `QUANTITIES`, or an array of the task's program with a row or
 a value for each world, such as `target` of pose and reach. Values of a step belong to the state that

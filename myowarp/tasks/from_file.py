@@ -143,7 +143,7 @@ def from_osim(path: str | Path, key: str | None = None, kind: str = "pose", **op
     not here; `myowarp convert` reports it in full, and writes a model for plain MuJoCo.
 
     Args:
-        path: .osim of OpenSim 2.1 to 4.6.
+        path: .osim of OpenSim 1.9 to 4.6.
         key: As for `from_mjcf`.
         kind: As for `from_mjcf`; sites are the model's markers.
         **options: As for `from_mjcf`; joints are those that show OpenSim's coordinates, and have their names

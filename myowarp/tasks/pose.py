@@ -1,4 +1,4 @@
-"""Joint pose: bring every joint of a finger, an elbow or a hand to its target angle.
+"""Joint pose: bring every joint of a finger, an elbow, a hand or a trunk to its target angle.
 
     reward = -d + 4 (1[d < near] + 1[d < 1.5 near]) - 50 1[d > far] - w |act| / n
 

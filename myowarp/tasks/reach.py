@@ -1,4 +1,4 @@
-"""Tip reach: bring the tips of a finger or of all five fingers to target points.
+"""Tip reach: bring the tip of a finger or an arm, or of all five fingers, to target points.
 
     reward = -x + 4 (1[x < 2 near] + 1[x < near]) - 50 1[x > far],    x = |targets - tips|
 

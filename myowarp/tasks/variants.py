@@ -24,7 +24,7 @@ class Variant:
 
     Attributes:
         task: Key of the task in `TASKS`.
-        reset: What episodes start from, one of `spec.RESETS`.
+        reset: What episodes start from, one of `definitions.task.RESETS`.
         conditions: Names of muscle conditions in `CONDITIONS`.
     """
 

@@ -60,7 +60,7 @@ def test_the_next_checkpoint_acts_as_soon_as_it_is_whole(sim, tmp_path, monkeypa
     shutil.rmtree(broken)
     write(tmp_path, 4000, 0.75)
     np.testing.assert_allclose(act(obs), 0.75, atol=1e-6)
-    assert note_on(str(tmp_path), TASKS[KEY]).endswith("newest checkpoint is that of 4000 samples.")
+    assert note_on(str(tmp_path), TASKS[KEY]).endswith("; its policy of 4000 samples acts.")
 
 
 def test_a_run_in_place_of_a_task_is_its_task_and_policy(tmp_path):

@@ -124,7 +124,7 @@ def test_a_slider_weakens_the_chosen_muscle_beside_its_twin(page, client):
     until(lambda: live.panel.patient.muscles == "BIClong")
     client.set("beside: the same without the change", True)
     until(lambda: live.session.beside)
-    client.set("strength left", 0.25)
+    client.set("remaining strength", 0.25)
     knob = session.patient.knobs["sarcopenia strength"]
     until(lambda: session.patient.value(knob, 0, ["BIClong"]) == pytest.approx(0.25))
     first = steps(live)
@@ -145,9 +145,9 @@ def test_a_slider_weakens_the_chosen_muscle_beside_its_twin(page, client):
     ("label", "value", "says"),
     [
         ("preset", "pirate", "preset 'pirate' unknown; available"),
-        ("strength left", float("nan"), "sarcopenia strength must be"),
-        ("strength left", -5.0, "sarcopenia strength must be from 0 to 2, got -5"),
-        ("strength left", 3.0, "sarcopenia strength must be from 0 to 2, got 3"),
+        ("remaining strength", float("nan"), "sarcopenia strength must be"),
+        ("remaining strength", -5.0, "sarcopenia strength must be from 0 to 2, got -5"),
+        ("remaining strength", 3.0, "sarcopenia strength must be from 0 to 2, got 3"),
         ("forearm mass [kg]", 1e308, "exoskeleton forearm_mass must be from 0 to 2, got 1e+308"),
         ("share of muscles", 9.2e18, "joint_device assistance must be from 0 to 1, got 9.2e+18"),
         ("force passed on", 1e9, "tendon_tear transmission must be from 0 to 1, got 1e+09"),
@@ -174,7 +174,7 @@ def test_what_is_no_message_changes_nothing(page, client, capfd, caplog):
     live, address = page
     with caplog.at_level(logging.ERROR):
         rude = Client(address)
-        uuid = rude.uuid("strength left") if until(rude.status) else ""
+        uuid = rude.uuid("remaining strength") if until(rude.status) else ""
         rude.send({"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": "much"}})
         rude.send({"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"nothing": 1}})
         private = {"update_cb": 5, "removed": True, "is_button": True, "value": 0.5}
@@ -197,7 +197,7 @@ def test_what_is_no_message_changes_nothing(page, client, capfd, caplog):
     knob = patient.knobs["sarcopenia strength"]
     assert live.panel.patient.sliders[knob,].value == 1.0
     for value in (0.75, 1.0):
-        client.set("strength left", value)
+        client.set("remaining strength", value)
         until(lambda value=value: patient.value(knob, 0, patient.groups[chosen]) == pytest.approx(value))
 
 

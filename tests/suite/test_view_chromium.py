@@ -399,8 +399,10 @@ def test_the_first_sight_has_a_slider_and_a_title(served):
     """At 1280 x 800, without a click: the slider of strength is on the page, and its tab says what it is."""
     with Chromium(USUAL_SCREEN) as window:
         window.open(served[1])
-        window.wait_for("strength left")
-        label = "[...document.querySelectorAll('label')].find(e => e.innerText.trim() === 'strength left')"
+        window.wait_for("remaining strength")
+        label = (
+            "[...document.querySelectorAll('label')].find(e => e.innerText.trim() === 'remaining strength')"
+        )
         top, bottom = window.run(f"(b => [b.top, b.bottom])({label}.getBoundingClientRect())")
         assert 0 < top < bottom < USUAL_SCREEN[1]
         assert window.run("document.title") == "Elbow: pose · MyoWarp"

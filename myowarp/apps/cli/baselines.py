@@ -133,7 +133,8 @@ def _list(found: list[Baseline], as_json: bool) -> None:
     console = Console(highlight=False, soft_wrap=True)
     console.print(table, soft_wrap=False)
     console.print(
-        f"strict: episodes with {SUCCESSES['success']}, as `myowarp eval` counts; paper: {RULES[MYOSUITE]}.\n"
+        f"strict: episodes with {SUCCESSES['success']}, as `myowarp eval` counts; "
+        f"paper: {RULES[MYOSUITE]}, MyoSuite's rule.\n"
         "256 episodes with the policy's means as actions, and 256 with drawn ones, under parity physics; 1 of"
         " 1: all 256 are the same; -: not counted; *: a corrected task.\nyes: today's trainer made the"
         " policy, and `myowarp baselines run ID` makes it again; no: an earlier one did.\nA -v1 id without a"

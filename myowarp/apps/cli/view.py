@@ -41,7 +41,7 @@ class View:
 
     A converted model: myowarp view --model out/arm26/model.xml
 
-    A training that goes on: myowarp view runs/elbow, whose newest checkpoint acts
+    A training that goes on: myowarp view runs/elbow, whose best policy so far acts
 
     A recorded motion, with muscle forces in colour and ground reaction as arrows:
     myowarp view --model gait.osim --motion out/trial --loads grf.xml
@@ -221,7 +221,7 @@ def note_on(policy: str, spec: TaskSpec) -> str:
     if policy.rpartition(":")[1] or (folder := policy_folder(policy, spec.key)) is None:
         return ""
     if is_run(policy):
-        return f"Follows {policy}; its newest checkpoint is that of {int(find_folder(folder).name)} samples."
+        return f"Follows {policy}; its policy of {int(find_folder(folder).name)} samples acts."
     trained = folder.name
     if trained == spec.key:
         return f"Trained for {trained}."

@@ -1,4 +1,4 @@
-"""The policy of a run that goes on: its newest checkpoint acts, and the next one as soon as it is whole.
+"""The policy of a run that goes on: its best one so far acts, or its last one before the first selection.
 
 A run writes a checkpoint under another name, and renames it when it is whole. One that is damaged all the
 same is passed over, with one line; the one before acts on.
@@ -33,7 +33,7 @@ class Following:
     """
 
     def __init__(self, run: Path, sim: Simulation) -> None:
-        """Begin with the newest checkpoint.
+        """Begin with the checkpoint that `find_folder` finds.
 
         Raises:
             CheckpointError: There is none, it is damaged, or it does not fit.
@@ -45,7 +45,7 @@ class Following:
         self._bad: Path | None = None
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
-        """Return actions of the newest checkpoint."""
+        """Return actions of the checkpoint that `find_folder` found last."""
         if time.monotonic() - self._looked > LOOK:
             self._looked = time.monotonic()
             self._renew()
@@ -56,7 +56,7 @@ class Following:
         self._act.copy(source, target)
 
     def _renew(self) -> None:
-        """Let the newest checkpoint act, if it is another one, whole and fitting."""
+        """Let the checkpoint that `find_folder` finds act, if it is another one, whole and fitting."""
         try:
             newest = find_folder(self._run)
             if newest in (self.checkpoint.folder, self._bad):

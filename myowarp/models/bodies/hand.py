@@ -57,7 +57,7 @@ MyoSuite 2.12.2 bundles.
 
 APPROACH = ("FDP2", "FDP3", "FDP4", "FDP5", "RI2", "RI3", "RI4", "RI5", "EPL", "APL")
 """Fingers closed, thumb out. From there a muscle controller brings the hand to half of the random postures of
-`myoHandPoseRandom-v1`, from where episodes start to 13 % (`examples/hand_pose.py`)."""
+`myoHandPoseRandom-v1`, from where episodes start to 13 %."""
 
 HAND = BODIES.add(
     "hand",

@@ -1,4 +1,4 @@
-"""Fatigue that takes peak force: the model of Ma et al. (2009), as the MyoSuite paper uses it.
+"""Fatigue that takes peak force: the model of Ma et al. (2009), whose equation the MyoSuite paper uses.
 
     F_upd = F_max exp(-s),    ds/dt = k F_act / F_max,    F_act = F_upd a f_L f_V
 
@@ -10,8 +10,8 @@ The muscles integrate c in every physics step (`MuscleModel.workload`), this eff
 once per control step. There is no recovery; excitation and passive force stay.
 
 Sources: Caggiano et al. (2022), arXiv:2205.13600, where k = 1 without a unit; Ma, Chablat, Bennis, Zhang
-(2009), doi:10.1016/j.ergon.2008.04.004. We read k in 1/min: in 1/s a fully active muscle would lose half
-of its force within one second.
+(2009), doi:10.1016/j.ergon.2008.04.004, where k is in 1/min. The default is 1/min. The paper's grid has 1/s
+(`rate=60`, see `tasks/paper.py`), with which a fully active muscle loses half of its force in one second.
 """
 
 from __future__ import annotations

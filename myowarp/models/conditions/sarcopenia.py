@@ -30,7 +30,7 @@ class Sarcopenia(Condition):
     PHASE = Phase.STRENGTH
     NEUTRAL: ClassVar = {"strength": 1.0}
     TITLE = "weakness (sarcopenia)"
-    LABELS: ClassVar = {"strength": "strength left"}
+    LABELS: ClassVar = {"strength": "remaining strength"}
 
     strength: Value = 0.5
 

@@ -15,7 +15,7 @@ from myowarp.view.browser.session import HEALTHY
 from myowarp.view.browser.widgets import Widgets
 
 BESIDE = "beside: the same without the change"
-ADVICE = "Pull *strength left* down to 0.3, and tick *beside*."
+ADVICE = "Pull *remaining strength* down to 0.3, and tick *beside*."
 FIRST = ("sarcopenia", "joint_device", "exoskeleton")
 """Conditions that come first, in this order."""
 UNDO = "Undo all changes"

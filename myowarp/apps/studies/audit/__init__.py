@@ -1,8 +1,8 @@
-"""Whether a task is sound: what policies that know nothing meet in it, and what its geometry allows.
+"""Whether a task is sound: how untrained policies fare in it, and what its geometry allows.
 
     audit(TASKS["myoHandReachFixed-v1"]).targets.solvable
 
-`audit` measures one task; `command` does it for many and writes JSON, a page and a table.
+`audit` measures one task; `tasks` measures many and writes JSON, a page and a table.
 """
 
 from myowarp.apps.studies.audit.measure import Audit, audit

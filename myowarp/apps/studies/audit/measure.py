@@ -55,7 +55,7 @@ class Audit:
         seed: World i resets with seed + i.
         scores: What each policy got, by its name in `POLICIES`.
         early_failure: Share of starts from which zero actions fail within `runs.EARLY_STEPS` steps, by
-            the reset of `spec.RESETS`.
+            the reset of `definitions.task.RESETS`.
         early_failure_why: Reset to why its share is None.
         targets: Which share of the targets can be met.
         columns: Range of every observation column over all policies.

@@ -32,7 +32,8 @@ EASY, HARD = "Fixed", "Random"
 TASKS = tuple(f"{family}{kind}-v0" for family in FAMILIES for kind in (EASY, HARD))
 LEARNED, SOLVED = 0.9, 95.0  # share of episodes in a training, percent of them in an evaluation
 HARDLY = 50.0  # percent of the episodes
-MODES = ("deterministic", "sampled")
+MODES = {"deterministic": "mean", "sampled": "drawn"}
+"""Kinds of actions, as evaluations and as pages call them."""
 SAMPLES, ENDING = 5_000_000, {"stop_success": 0.995}
 QUICK_TASKS = ("myoElbowPose1D6MFixed-v0", "myoElbowPose1D6MRandom-v0")
 COLORS = {"ppo": BLUE, "sac": GREEN, "flashsac": GREEN, "dagger": PINK, "improve": ORANGE}
@@ -186,13 +187,13 @@ def success_merits(
         paper, spread = (float(np.mean(ends)), float(np.std(ends))) if ends else (None, None)
         if (own := ours.get(task)) is None:
             note = "no policy; docs/baselines.md says what was tried"
-            rows.append(Merit("success, sampled actions", "%", task, (), paper, spread, note))
+            rows.append(Merit(f"success, {MODES['sampled']} actions", "%", task, (), paper, spread, note))
             continue
         note = own.how + (f"; the paper's after {npg[task][0][0][-1] / 1e6:.1f} M" if ends else "")
-        for mode in MODES[::-1]:
+        for mode in reversed(MODES):
             known = (paper, spread) if mode == "sampled" else (None, None)
             rows.append(
-                Merit(f"success, {mode} actions", "%", task, own.success[mode], *known, note, PERCENT)
+                Merit(f"success, {MODES[mode]} actions", "%", task, own.success[mode], *known, note, PERCENT)
             )
         rows.append(Merit(needed, "M", task, [samples_to(own.curve)]))
     for task, runs in natural.items():

@@ -49,6 +49,7 @@ ADAPTED = ("sarcopenia", "fatigue", "tear", "transfer")
 SOLVED, LOSS = 50.0, 10.0  # percent of the episodes, points of it
 COLORS = "Blues"
 PART = 10  # times fewer samples than the policy had
+NO_INTERVAL = "there is no interval over trainings; the notes have Wilson's 95 % intervals over episodes."
 SEED = 2_000_000
 QUICK_TASKS = ("myoElbowPose1D6MRandom-v0", "myoHandKeyTurnFixed-v0")
 Runs = Mapping[tuple[str, str], Mapping[str, np.ndarray]]
@@ -219,7 +220,7 @@ def findings(runs_before: Runs, runs_after: Runs) -> Findings:
         "all": sum(len(own) for shares in (before, after) for own in shares.values()),
         "lines": "\n".join(_line(c, before, after) for c in adapted) or "* none",
     }
-    over = "trainings, of which each task has one; Wilson's intervals over episodes are in the notes"
+    over = f"One training a task, so {NO_INTERVAL}"
     return Findings(rows, holds, lambda figure: draw(figure, before, after), measured, over)
 
 

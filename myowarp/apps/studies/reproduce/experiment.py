@@ -43,7 +43,8 @@ class Findings:
         holds: Whether ours bear out each conclusion and hypothesis of the essay, by its key; None: open.
         draw: Draws into an empty matplotlib figure 8 inches wide; the height may be set.
         measured: Values for the fields of the essay.
-        over: What the values of the figures of merit are over, and the intervals with them.
+        over: What the values of the figures of merit are over, and the intervals with them; a sentence if
+            there are none.
     """
 
     merits: Sequence[Merit]

@@ -13,6 +13,7 @@ from myowarp.apps.reports import panel
 from myowarp.apps.studies.reproduce.conditions import (
     COLORS,
     LOSS,
+    NO_INTERVAL,
     SEED,
     SOLVED,
     apart,
@@ -121,7 +122,7 @@ def findings(cells: list[PaperTask], transferred: Shares, trained: Shares) -> Fi
         "lost": len(lost),
         "lines": "\n".join(_line(cell, transferred, trained) for cell in trained) or "* none",
     }
-    over = "trainings, of which each cell has one; Wilson's intervals over episodes are in the notes"
+    over = f"One training a cell, so {NO_INTERVAL}"
     return Findings(rows, holds, lambda figure: draw(figure, cells, transferred, trained), measured, over)
 
 

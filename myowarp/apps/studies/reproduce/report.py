@@ -63,7 +63,7 @@ def as_dict(experiment: Experiment, lab: Lab, findings: Findings) -> dict[str, A
         "quick": lab.quick,
         **{name: value for name, value in sizes(lab).items() if name not in experiment.ignores},
         "policies": "retrained" if lab.retrain else "of the package",
-        "interval": INTERVAL.format(over=findings.over),
+        "interval": interval(findings),
         "versions": versions(),
         "caption": " ".join(text(experiment, findings, CAPTION).split()),
         "merits": [
@@ -77,6 +77,11 @@ def as_dict(experiment: Experiment, lab: Lab, findings: Findings) -> dict[str, A
         ],
         "text": text(experiment, findings, DIFFERENCES),
     }
+
+
+def interval(findings: Findings) -> str:
+    """Return what the intervals are, a sentence."""
+    return findings.over if findings.over.endswith(".") else INTERVAL.format(over=findings.over)
 
 
 def sizes(lab: Lab) -> dict[str, Any]:
@@ -116,8 +121,7 @@ def page(experiment: Experiment, lab: Lab, findings: Findings) -> str:
             parts += [f"## {heading}", THRESHOLDS if not own else OURS, "\n".join(said)]
     parts += [
         "## Figures of merit",
-        f"`myowarp reproduce {experiment.name}{' --quick' if lab.quick else ''}`. {size}"
-        f"{INTERVAL.format(over=findings.over)}",
+        f"`myowarp reproduce {experiment.name}{' --quick' if lab.quick else ''}`. {size}{interval(findings)}",
         table.markdown(("quantity", *HEADS, "note"), rows),
         f"## {DIFFERENCES}",
         text(experiment, findings, DIFFERENCES),

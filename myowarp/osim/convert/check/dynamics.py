@@ -7,8 +7,8 @@ Each coordinate is on its own over its full range. What is compared, as shares o
 - response: a coordinate's acceleration under a unit force on it, at rest without gravity;
 - gravity: forces that stand for the difference of accelerations at rest;
 - acceleration: in states with velocities, gravity and forces;
-- torque: inverse dynamics of a smooth motion. Forces of the reference move the model; what is missing from
-  the motion's accelerations, times the mass matrix, are forces that it would be given too little or too much.
+- torque: inverse dynamics of a smooth motion. Forces of the reference move the model; the error of its
+  acceleration, times the mass matrix, is the error of force.
 """
 
 from collections.abc import Callable, Mapping
