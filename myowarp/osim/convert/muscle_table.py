@@ -11,14 +11,9 @@ import dataclasses
 import io
 import json
 from collections.abc import Iterable
-from pathlib import Path
-from typing import Any
 
-from myowarp.disk import in_place
 from myowarp.osim.body.hill_muscle import HillMuscle
-from myowarp.osim.document import functions
 from myowarp.osim.document.functions import Function
-from myowarp.osim.document.read.element import number_of
 
 UNITS = {
     "max_isometric_force": "N",
@@ -33,12 +28,6 @@ UNITS = {
     "time_scale": "s",
 }
 """Unit of a property; every other one is a pure number, written [1]."""
-
-
-def write_muscles(path: Path, muscles: Iterable[HillMuscle]) -> None:
-    """Write the parameters of muscles, whole or not at all."""
-    with in_place(path) as scratch:
-        scratch.write_text(muscle_table(muscles), encoding="utf-8", newline="")
 
 
 def muscle_table(muscles: Iterable[HillMuscle]) -> str:
@@ -56,49 +45,9 @@ def muscle_table(muscles: Iterable[HillMuscle]) -> str:
     return text.getvalue()
 
 
-def read_muscles(path: Path) -> list[HillMuscle]:
-    """Return the muscles of a file that `write_muscles` wrote.
-
-    Raises:
-        ValueError: If a column is not what `write_muscles` writes, or a number is none.
-    """
-    with path.open(newline="", encoding="utf-8") as file:
-        table = csv.DictReader(file)
-        columns = list(table.fieldnames or ())
-        if columns[:2] != ["name", "class"]:
-            raise ValueError(
-                f"{path} must begin with the columns name and class, got {', '.join(columns[:2])}"
-            )
-        muscles = []
-        for row in table:
-            values: dict[str, float] = {}
-            curves: dict[str, Any] = {}
-            for column in columns[2:]:
-                name, _, unit = column.partition(" ")
-                text = row[column]
-                if not text:
-                    continue
-                if not unit:
-                    curves[name] = _decode(json.loads(text))
-                    continue
-                if unit != f"[{_unit(name)}]":
-                    raise ValueError(f"{path} gives {name} in {unit}, but its unit is [{_unit(name)}]")
-                values[name] = _number(text, f"{path}, line {table.line_num}: {name}")
-            muscles.append(HillMuscle(row["name"], row["class"], values, curves))
-    return muscles
-
-
 def _unit(name: str) -> str:
     """Return the unit of a property, which may stand in a nested object."""
     return UNITS.get(name.rpartition(".")[2], "1")
-
-
-def _number(text: str, place: str) -> float:
-    """Return the number that a cell holds."""
-    try:
-        return number_of(text)
-    except ValueError as error:
-        raise ValueError(f"{place} must be a number, got {text!r}") from error
 
 
 def _encode(function: Function) -> str:
@@ -111,15 +60,3 @@ def _encode(function: Function) -> str:
         return value
 
     return json.dumps(nested(function))
-
-
-def _decode(value: Any) -> Any:
-    """Return the function, or the field of one, that JSON describes."""
-    if not isinstance(value, list):
-        return value
-    if value and isinstance(value[0], str):
-        kind = getattr(functions, value[0], None)
-        if not (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
-            raise ValueError(f"a curve must be a function of an OpenSim model, got {value[0]!r}")
-        return kind(*(_decode(field) for field in value[1:]))
-    return tuple(_decode(item) for item in value)
