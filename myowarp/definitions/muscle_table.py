@@ -25,9 +25,7 @@ from myowarp.definitions.worlds import Worlds
 from myowarp.disk import delimiter_of, number_in
 from myowarp.kernels.write import is_finite
 from myowarp.laws.muscles.hill_law import OPENSIM_LAWS, SCHUTTE_CLASS
-
-CURVES = ("active_force_length_curve", "passive_force_length_curve", "tendon_force_length_curve")
-"""Splines of a muscle, in the order in which a muscle model takes them."""
+from myowarp.laws.muscles.schutte1993 import CURVES
 
 Knots = tuple[tuple[float, ...], tuple[float, ...]]
 """x and y of a spline."""

@@ -34,7 +34,6 @@ HINGE, SLIDE, BALL, FREE = (
     )
 )
 ROWS_TOGETHER = 2048  # targets times starts; 25 MB for the hand, and more rows are no faster
-MAX_DRAWS = 100  # for a row of `reachable_targets`
 
 
 def reachable(
@@ -81,44 +80,6 @@ def reachable(
         rows = np.arange(0, len(wanted), num_starts) + best
         residual[chunk], qpos[chunk] = distance[rows], angles[rows]
     return residual, qpos
-
-
-def reachable_targets(
-    model: mujoco.MjModel,
-    tips: tuple[str, ...],
-    center: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    near: float,
-    count: int,
-    seed: int = 0,
-) -> np.ndarray:
-    """Draw targets uniformly from the part of a box that the tips can reach within `near` [m].
-
-    Row i is the first of its own draws from U(center + low, center + high) whose residual is at most
-    `near`. A borderline draw that another processor's rounding decides otherwise changes its row only.
-    The search has one start: a minimum that it misses costs one more draw, and never admits a target.
-
-    Returns:
-        Targets [m], shape (count, 3 num_tips); the first rows are those of a smaller `count`.
-
-    Raises:
-        ValueError: A row met no reachable target in `MAX_DRAWS` draws, or as `reachable` raises.
-    """
-    targets = np.empty((count, len(center)))
-    empty = np.arange(count)
-    for draw in range(MAX_DRAWS):
-        offset = np.random.default_rng((seed, draw)).uniform(low, high, targets.shape)
-        candidates = center + offset[empty]
-        accepted = reachable(model, tips, candidates, num_starts=1)[0] <= near
-        targets[empty[accepted]] = candidates[accepted]
-        empty = empty[~accepted]
-        if not len(empty):
-            return targets
-    raise ValueError(
-        f"{len(empty)} of {count} targets met no point within {near} m of the reach of the tips in "
-        f"{MAX_DRAWS} draws; move the box or raise near"
-    )
 
 
 def tip_positions(model: mujoco.MjModel, tips: tuple[str, ...], qpos: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ import myowarp.tasks
 from myowarp.definitions.body import BODIES, CAUTIOUS_STEP, CoarseStep
 from myowarp.definitions.task import TASKS, task
 from myowarp.kernels.world_function import Row, num_numbers
-from myowarp.models.bodies.from_file import read_body
+from myowarp.models.bodies.from_file import register_body
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.pose import PoseTask, sample_configuration
 from myowarp.tasks.reach import ReachTask
@@ -52,7 +52,7 @@ def trunk(tmp_path_factory):
     """Return the name of a body with a free root, a ball joint, a hinge with a range and one without."""
     path = tmp_path_factory.mktemp("bodies") / "free_root.xml"
     path.write_text(FREE_ROOT)
-    return read_body(path, tips=("foot",))
+    return register_body(path, tips=("foot",))[0]
 
 
 def test_every_id_is_written_in_full():
