@@ -4,11 +4,12 @@ Hand poses are a relaxed posture, the ten digits of American Sign Language, and 
 0 has MyoSuite 3.0.0's angles, version 1 the published ones (`hand_poses`).
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from myowarp.definitions.task import task
+from myowarp.definitions.task import register, task
 from myowarp.tasks.hand_poses import DIGITS, RELAXED, as_in_myosuite_3, bounds
 from myowarp.tasks.pose import PoseTask
 
@@ -108,14 +109,19 @@ def hand_pose(low: tuple[float, ...], high: tuple[float, ...] | None = None) -> 
     return PoseTask(body="hand", target_low=low, target_high=high or low, near=0.7, random_start=random)
 
 
-def sign_as_in_myosuite_3(digit: int) -> PoseTask:
-    """Return the task of signing a digit, thumb base values swapped."""
-    return hand_pose(as_in_myosuite_3(DIGITS[digit]))
+SIGNS = (
+    *("myoHandPose0Fixed", "myoHandPose1Fixed", "myoHandPose2Fixed", "myoHandPose3Fixed"),
+    *("myoHandPose4Fixed", "myoHandPose5Fixed", "myoHandPose6Fixed", "myoHandPose7Fixed"),
+    *("myoHandPose8Fixed", "myoHandPose9Fixed"),
+)
+"""Names of the tasks of signing a digit, from 0 on."""
 
 
-def sign(digit: int) -> PoseTask:
-    """Return the task of signing a digit."""
-    return hand_pose(DIGITS[digit])
+def register_signs(version: int, postures: Sequence[tuple[float, ...]], why: str = "") -> None:
+    """Register the tasks of signing a digit; their docs end with why this version exists."""
+    for digit, (name, posture) in enumerate(zip(SIGNS, postures, strict=True)):
+        doc = f"Sign the digit {digit} in American Sign Language. {why}".strip()
+        register(replace(hand_pose(posture), name=name, version=version, doc=doc))
 
 
 @task("myoHandPoseFixed-v0")
@@ -124,64 +130,7 @@ def hand_fixed_v0() -> PoseTask:
     return hand_pose(as_in_myosuite_3(RELAXED))
 
 
-@task("myoHandPose0Fixed-v0")
-def hand_0_v0() -> PoseTask:
-    """Sign the digit 0 in American Sign Language."""
-    return sign_as_in_myosuite_3(0)
-
-
-@task("myoHandPose1Fixed-v0")
-def hand_1_v0() -> PoseTask:
-    """Sign the digit 1 in American Sign Language."""
-    return sign_as_in_myosuite_3(1)
-
-
-@task("myoHandPose2Fixed-v0")
-def hand_2_v0() -> PoseTask:
-    """Sign the digit 2 in American Sign Language."""
-    return sign_as_in_myosuite_3(2)
-
-
-@task("myoHandPose3Fixed-v0")
-def hand_3_v0() -> PoseTask:
-    """Sign the digit 3 in American Sign Language."""
-    return sign_as_in_myosuite_3(3)
-
-
-@task("myoHandPose4Fixed-v0")
-def hand_4_v0() -> PoseTask:
-    """Sign the digit 4 in American Sign Language."""
-    return sign_as_in_myosuite_3(4)
-
-
-@task("myoHandPose5Fixed-v0")
-def hand_5_v0() -> PoseTask:
-    """Sign the digit 5 in American Sign Language."""
-    return sign_as_in_myosuite_3(5)
-
-
-@task("myoHandPose6Fixed-v0")
-def hand_6_v0() -> PoseTask:
-    """Sign the digit 6 in American Sign Language."""
-    return sign_as_in_myosuite_3(6)
-
-
-@task("myoHandPose7Fixed-v0")
-def hand_7_v0() -> PoseTask:
-    """Sign the digit 7 in American Sign Language."""
-    return sign_as_in_myosuite_3(7)
-
-
-@task("myoHandPose8Fixed-v0")
-def hand_8_v0() -> PoseTask:
-    """Sign the digit 8 in American Sign Language."""
-    return sign_as_in_myosuite_3(8)
-
-
-@task("myoHandPose9Fixed-v0")
-def hand_9_v0() -> PoseTask:
-    """Sign the digit 9 in American Sign Language."""
-    return sign_as_in_myosuite_3(9)
+register_signs(0, tuple(map(as_in_myosuite_3, DIGITS)))
 
 
 @task("myoHandPoseRandom-v0")
@@ -197,64 +146,7 @@ def hand_fixed() -> PoseTask:
     return hand_pose(tuple(within))
 
 
-@task("myoHandPose0Fixed-v1", THUMB_BASE)
-def hand_0() -> PoseTask:
-    """Sign the digit 0 in American Sign Language."""
-    return sign(0)
-
-
-@task("myoHandPose1Fixed-v1", THUMB_BASE)
-def hand_1() -> PoseTask:
-    """Sign the digit 1 in American Sign Language."""
-    return sign(1)
-
-
-@task("myoHandPose2Fixed-v1", THUMB_BASE)
-def hand_2() -> PoseTask:
-    """Sign the digit 2 in American Sign Language."""
-    return sign(2)
-
-
-@task("myoHandPose3Fixed-v1", THUMB_BASE)
-def hand_3() -> PoseTask:
-    """Sign the digit 3 in American Sign Language."""
-    return sign(3)
-
-
-@task("myoHandPose4Fixed-v1", THUMB_BASE)
-def hand_4() -> PoseTask:
-    """Sign the digit 4 in American Sign Language."""
-    return sign(4)
-
-
-@task("myoHandPose5Fixed-v1", THUMB_BASE)
-def hand_5() -> PoseTask:
-    """Sign the digit 5 in American Sign Language."""
-    return sign(5)
-
-
-@task("myoHandPose6Fixed-v1", THUMB_BASE)
-def hand_6() -> PoseTask:
-    """Sign the digit 6 in American Sign Language."""
-    return sign(6)
-
-
-@task("myoHandPose7Fixed-v1", THUMB_BASE)
-def hand_7() -> PoseTask:
-    """Sign the digit 7 in American Sign Language."""
-    return sign(7)
-
-
-@task("myoHandPose8Fixed-v1", THUMB_BASE)
-def hand_8() -> PoseTask:
-    """Sign the digit 8 in American Sign Language."""
-    return sign(8)
-
-
-@task("myoHandPose9Fixed-v1", THUMB_BASE)
-def hand_9() -> PoseTask:
-    """Sign the digit 9 in American Sign Language."""
-    return sign(9)
+register_signs(1, DIGITS, THUMB_BASE)
 
 
 @task("myoHandPoseRandom-v1", THUMB_BASE)
