@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from myowarp.osim.body.hill_muscle import HillMuscle
-from myowarp.osim.convert.muscle_table import muscle_table
+from myowarp.osim.convert.compose.beside import muscle_table
 from myowarp.osim.document import functions
 
 DATA = Path(__file__).parent / "data" / "opensim"
