@@ -21,7 +21,8 @@ from myowarp.tasks.reach import ReachTask
 
 FILES = Path(myowarp.tasks.__file__).parent.glob("*.py")
 IDS = {key for key in TASKS if TASKS[key].name not in BODIES}  # before tests add some
-WRITTEN = [key for path in FILES for key in re.findall(r'^@task\("([^"]+)"', path.read_text(), re.MULTILINE)]
+CALL = re.compile(r'^(?:@task|sign)\("([^"]+)"', re.MULTILINE)
+WRITTEN = [key for path in FILES for key in CALL.findall(path.read_text())]
 SCENES = sorted({TASKS[key].scene_key: key for key in WRITTEN}.values())
 NUM_WORLDS = 7
 VALUE_TOLERANCE = 1e-6  # float32
@@ -56,7 +57,7 @@ def trunk(tmp_path_factory):
 
 
 def test_every_id_is_written_in_full():
-    """`grep` finds the one function that stands for an id."""
+    """`grep` finds the one line that registers an id."""
     assert len(WRITTEN) == len(set(WRITTEN))
     assert set(WRITTEN) == IDS
 
