@@ -40,7 +40,6 @@ def reachable(
     model: mujoco.MjModel,
     tips: tuple[str, ...],
     targets: np.ndarray,
-    iterations: int = NUM_ITERATIONS,
     num_starts: int = NUM_STARTS,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return how close the tips can come to each target, and where the joints are then.
@@ -52,7 +51,6 @@ def reachable(
         model: The body, full or slim; see `unsolved`.
         tips: Names of tip sites.
         targets: Target points [m], world coordinates, shape (num_targets, 3 num_tips).
-        iterations: Iterations of each of the two solves.
         num_starts: Starts of the search for each target; the first one is mid-range.
 
     Returns:
@@ -74,7 +72,7 @@ def reachable(
     for chunk in (slice(first, first + step) for first in range(0, len(targets), step)):
         wanted = np.repeat(targets[chunk], num_starts, axis=0)
         angles = np.tile(starts, (len(targets[chunk]), 1))
-        angles = _within_ranges(model, _solve(model, tips, wanted, angles, iterations))
+        angles = _within_ranges(model, _solve(model, tips, wanted, angles))
         distance = np.linalg.norm(tip_positions(model, tips, angles) - wanted, axis=1)
         best = np.nanargmin(distance.reshape(-1, num_starts), axis=1)
         rows = np.arange(0, len(wanted), num_starts) + best
@@ -152,7 +150,6 @@ def _solve(
     tips: tuple[str, ...],
     targets: np.ndarray,
     starts: np.ndarray,
-    iterations: int,
 ) -> np.ndarray:
     """Return the configurations found from each start, perhaps slightly out of range."""
     from newton import ik  # takes a second to import, paid only by those who solve
@@ -174,7 +171,7 @@ def _solve(
     for weight in LIMIT_WEIGHTS:
         for limit, scale in limits:
             limit.weight = scale * weight
-        solver.step(coordinates, coordinates, iterations)
+        solver.step(coordinates, coordinates, NUM_ITERATIONS)
     found = np.empty_like(starts)
     found[:, places] = coordinates.numpy()
     return found + zero
