@@ -27,12 +27,12 @@ def files_of(element: Element, tag: str) -> list[Path]:
 
     A path of Windows is taken as such where there is no file of its name.
     """
-    return [_beside(element.source.parent, name) for name in stated(element, "time_range").split()]
+    return [_beside(element.source.parent, name) for name in stated(element, tag).split()]
 
 
 def file_of(element: Element, *tags: str) -> Path | None:
     """Return the first file that children name, beside the set-up file; None: they name none."""
-    name = next(filter(None, (stated(element, "time_range") for tag in tags)), "")
+    name = next(filter(None, (stated(element, tag) for tag in tags)), "")
     return _beside(element.source.parent, name) if name else None
 
 

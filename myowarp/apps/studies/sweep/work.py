@@ -81,7 +81,7 @@ def _eval(run: Run, folder: Path) -> dict[str, Any]:
     """Evaluate a policy."""
     from myowarp.apps.reports.evaluation import evaluate_policy
 
-    return evaluate_policy(evaluation(run))[1]
+    return evaluate_policy(evaluation(run, folder))[1]
 
 
 def _reproduce(run: Run, folder: Path) -> dict[str, Any]:
