@@ -22,7 +22,7 @@ from gymnasium.vector.utils import batch_space
 
 from myowarp.definitions.condition import Condition
 from myowarp.definitions.muscle_table import MuscleTable
-from myowarp.definitions.registry import check_choice, check_flag
+from myowarp.definitions.registry import check_choice, check_flag, is_integer
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS, TaskSpec
 from myowarp.kernels.episode import EpisodeState, Transition
@@ -404,7 +404,7 @@ class MyoWarpVectorEnv(VectorEnv):
         if seed is None:
             return None, np.zeros(self.num_envs, dtype=bool)
         given = seed
-        if isinstance(seed, (int, np.integer)) and not isinstance(seed, bool):
+        if is_integer(seed):
             first = int(seed) + self.sim.scene.worlds.offset
             seed = [first + i for i in range(self.num_envs)]
         several = isinstance(seed, Iterable) and getattr(seed, "ndim", 1) > 0
@@ -542,7 +542,7 @@ class MyoWarpEnv(gym.Env):
 
 def _is_seed(seed: object) -> bool:
     """Whether it is an integer of which every bit counts (`myowarp.kernels.random.seed_worlds`)."""
-    return isinstance(seed, (int, np.integer)) and not isinstance(seed, bool) and 0 <= int(seed) < 2**64
+    return is_integer(seed) and 0 <= int(seed) < 2**64
 
 
 def _autoreset_mode(mode: str | AutoresetMode) -> AutoresetMode:

@@ -458,9 +458,26 @@ def _checked(data: bytes) -> bytes:
     return data[size:]
 
 
-def delimiter_of(line: str) -> str:
-    """Return what separates the cells of a .csv, by its first line: comma, semicolon or tab."""
-    return max(",;\t", key=line.count)
+def csv_rows(path: Path, called: str) -> list[list[str]]:
+    """Return the rows of a .csv, the names of the columns first; empty rows are left out.
+
+    Args:
+        path: The file; comma, semicolon or tab separates, whichever its first line has most of.
+        called: What the file is called in messages.
+
+    Raises:
+        ValueError: It is no such file.
+        OSError: It cannot be read.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        delimiter = max(",;\t", key=text.partition("\n")[0].count)
+        rows = list(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter))
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{called} is not UTF-8 text ({error})") from error
+    except csv.Error as error:
+        raise ValueError(f"{called} is no CSV file ({error})") from error
+    return [row for row in rows if any(map(str.strip, row))]
 
 
 def number_in(cell: str) -> float:

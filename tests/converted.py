@@ -2,10 +2,11 @@
 
 from pathlib import Path
 
+from opensim_muscles import write_muscles
+
 from myowarp.osim.body.hill_muscle import HillMuscle
 from myowarp.osim.bundle.mjcf import mjcf
 from myowarp.osim.convert.compose.convert import convert
-from myowarp.osim.convert.muscle_table import write_muscles
 from myowarp.osim.document.read.model import read_model
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.from_file import pose_task

@@ -18,7 +18,7 @@ import inspect
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from myowarp.definitions.parameter import Clock, Ramp, Uniform
+from myowarp.definitions.parameter import Clock, Parameter, Ramp, Uniform
 from myowarp.definitions.registry import Registry, check_choice, check_flag
 from myowarp.definitions.scene import Scene
 from myowarp.definitions.task import Column, RewardTerm, TaskSpec
@@ -138,8 +138,12 @@ class Effect:
         columns: Blocks that it appends to the observation.
         terms: Reward terms that it appends.
         info: Arrays (num_worlds, ...) of the condition's state by name, shown in the environment's `info`.
+        scene: Where it acts; with parameters that are drawn it must be set.
+        drawn: Parameters of which new values are drawn where episodes open.
     """
 
+    scene: Scene
+    drawn: Iterable[Parameter] = ()
     columns: tuple[Column, ...] = ()
     terms: tuple[RewardTerm, ...] = ()
     info: dict[str, wp.array] = {}  # noqa: RUF012 (replaced, never changed)
@@ -149,6 +153,8 @@ class Effect:
 
     def sample(self, renew: wp.array) -> None:
         """Draw parameters in the worlds of `renew` (num_worlds,) bool, which open an episode."""
+        for parameter in self.drawn:
+            parameter.sample(self.scene.keys, renew)
 
     def reset(self, mask: wp.array) -> None:
         """Put its state to rest in the worlds of `mask` (num_worlds,) bool, whose states are reset."""

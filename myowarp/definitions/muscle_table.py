@@ -22,12 +22,10 @@ import numpy as np
 from myowarp.definitions.muscle import MUSCLES, muscle_index
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.worlds import Worlds
-from myowarp.disk import delimiter_of, number_in
+from myowarp.disk import csv_rows, number_in
 from myowarp.kernels.write import is_finite
 from myowarp.laws.muscles.hill_law import OPENSIM_LAWS, SCHUTTE_CLASS
-
-CURVES = ("active_force_length_curve", "passive_force_length_curve", "tendon_force_length_curve")
-"""Splines of a muscle, in the order in which a muscle model takes them."""
+from myowarp.laws.muscles.schutte1993 import CURVES
 
 Knots = tuple[tuple[float, ...], tuple[float, ...]]
 """x and y of a spline."""
@@ -85,36 +83,23 @@ class MuscleTable:
         """
         if path is None:
             return cls(model)
-        try:
-            return cls._read(model, path)
-        except csv.Error as error:
-            raise ValueError(f"{path} is no CSV file ({error})") from error
-        except UnicodeDecodeError as error:
-            raise ValueError(f"{path} is not UTF-8 text ({error})") from error
-
-    @classmethod
-    def _read(cls, model: str, path: str | Path) -> MuscleTable:
-        """Return the table in a file."""
-        with Path(path).open(encoding="utf-8-sig", newline="") as file:
-            first = file.readline()
-            whole = itertools.chain([first], file)
-            lines = csv.DictReader(whole, restval="", delimiter=delimiter_of(first))
-            columns = list(lines.fieldnames or ())
-            if "muscle" not in columns:
-                raise ValueError(f"{path} must have a column 'muscle', got {', '.join(columns) or 'none'}")
-            if twice := [name for name in columns if columns.count(name) > 1]:
-                raise ValueError(f"{path} must have one column {twice[0]!r}, got {columns.count(twice[0])}")
-            rows: dict[str, dict[str, float]] = {}
-            for line in lines:
-                muscle = line.pop("muscle")
-                if muscle in rows:
-                    raise ValueError(f"{path} must have one row for each muscle, got two of {muscle!r}")
-                rows[muscle] = {}
-                for name, cell in line.items():
-                    if not isinstance(cell, str) or name is None:
-                        raise ValueError(f"{path} must have {len(columns)} cells in each row, got more")
-                    if cell.strip():
-                        rows[muscle][name] = _number(f"{path}: {name} of muscle {muscle!r}", cell)
+        columns, *lines = csv_rows(Path(path), str(path)) or [[]]
+        if "muscle" not in columns:
+            raise ValueError(f"{path} must have a column 'muscle', got {', '.join(columns) or 'none'}")
+        if twice := [name for name in columns if columns.count(name) > 1]:
+            raise ValueError(f"{path} must have one column {twice[0]!r}, got {columns.count(twice[0])}")
+        rows: dict[str, dict[str, float]] = {}
+        for line in lines:
+            if len(line) > len(columns):
+                raise ValueError(f"{path} must have {len(columns)} cells in each row, got more")
+            cells = dict(itertools.zip_longest(columns, line, fillvalue=""))
+            if (muscle := cells.pop("muscle")) in rows:
+                raise ValueError(f"{path} must have one row for each muscle, got two of {muscle!r}")
+            rows[muscle] = {
+                name: _number(f"{path}: {name} of muscle {muscle!r}", cell)
+                for name, cell in cells.items()
+                if cell.strip()
+            }
         for name in columns:
             if name != "muscle":
                 check_choice(f"parameter of muscle model {model!r}", name, MUSCLES[model].PARAMETERS)

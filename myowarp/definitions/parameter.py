@@ -18,6 +18,7 @@ import warp as wp
 
 from myowarp.definitions.muscle import muscle_index
 from myowarp.definitions.registry import check_choice
+from myowarp.kernels.launch import launch
 from myowarp.kernels.random import RandomKeys, open_stream, stream_of
 from myowarp.kernels.write import is_finite, write
 from myowarp.process import warn_once
@@ -364,9 +365,4 @@ class Parameter:
     def sample(self, keys: RandomKeys, mask: wp.array) -> None:
         """Draw in the worlds of `mask` (num_worlds,) bool."""
         for draw in self.draws:
-            wp.launch(
-                draw_uniform,
-                dim=self.worlds.number,
-                inputs=[draw.lifelong, draw.stream, draw.low, draw.high, keys, mask],
-                outputs=[draw.values],
-            )
+            launch(draw_uniform, self.worlds.number, draw, keys=keys, mask=mask)

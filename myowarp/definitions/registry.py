@@ -9,7 +9,7 @@ import difflib
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Generic, TypeVar
+from typing import Generic, TypeGuard, TypeVar
 
 import numpy as np
 
@@ -142,11 +142,16 @@ class Registry(Generic[T]):
         return len(self._entries)
 
 
+def is_integer(value: object) -> TypeGuard[int]:
+    """Whether a value is an integer and no truth value."""
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+
+
 def check_least(least: int, most: float = math.inf, /, **numbers: int) -> None:
     """Raise ValueError if an integer, called like its option with `_` for `-`, is not within bounds."""
     for name, number in numbers.items():
         flag = f"--{name.replace('_', '-')}"
-        if isinstance(number, bool) or not isinstance(number, (int, np.integer)):
+        if not is_integer(number):
             raise ValueError(f"{flag} must be an integer, got {number!r}")
         if number < least:
             raise ValueError(f"{flag} must be at least {least}, got {number}")

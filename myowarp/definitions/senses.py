@@ -18,6 +18,7 @@ import warp as wp
 from myowarp.definitions.entries import Entry
 from myowarp.definitions.parameter import Clock, Curve, Parameter, value_of
 from myowarp.definitions.task import Column
+from myowarp.kernels.launch import launch
 from myowarp.kernels.observe import masked_observe
 
 if TYPE_CHECKING:
@@ -160,12 +161,7 @@ class Told(Sense):
         """Launch `tell` for each parameter."""
         for parameter in self._parameters:
             number = max(len(parameter.names), 1)
-            wp.launch(
-                tell,
-                dim=(mask.shape[0], number),
-                inputs=[mask, parameter.curve, self.clock, column],
-                outputs=[obs],
-            )
+            launch(tell, (mask.shape[0], number), parameter, self, mask=mask, column=column, obs=obs)
             column += number
 
 

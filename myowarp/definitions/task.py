@@ -12,14 +12,14 @@ import dataclasses
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 import warp as wp
 
 from myowarp.definitions.body import BODIES, CoarseStep
 from myowarp.definitions.entries import Entry, Names, entries
-from myowarp.definitions.registry import Registry
+from myowarp.definitions.registry import Registry, is_integer
 from myowarp.kernels.world_function import Source
 
 if TYPE_CHECKING:
@@ -234,11 +234,7 @@ class TaskSpec(abc.ABC):
         if not isinstance(self.doc, str):
             raise ValueError(f"doc must be a sentence, got {self.doc!r}")
         steps = self.num_substeps
-        if (
-            isinstance(steps, bool)
-            or not isinstance(steps, (int, np.integer))
-            or not 0 < steps <= MOST_SUBSTEPS
-        ):
+        if not is_integer(steps) or not 0 < steps <= MOST_SUBSTEPS:
             raise ValueError(f"num_substeps must be an integer from 1 to {MOST_SUBSTEPS}, got {steps!r}")
         if not self.physics_dt > 0.0 or not np.isfinite([self.physics_dt, *self.start_pose]).all():
             raise ValueError(
@@ -422,7 +418,7 @@ def split_key(key: str) -> tuple[str, int]:
 
 
 def task(
-    key: str, why: str = "", *, replace: bool = False
+    key: str, why: str = "", *, replace: bool = False, **otherwise: Any
 ) -> Callable[[Callable[[], Spec]], Callable[[], Spec]]:
     """Register the task that a function returns; the function's docstring says what the task asks for.
 
@@ -430,6 +426,7 @@ def task(
         key: Name and version, such as `myoHandPoseFixed-v0`.
         why: Why this version exists; it follows the docstring in the task's `doc`.
         replace: Whether it may take the place of a task that is registered.
+        **otherwise: Fields that this version has otherwise than the task that the function returns.
 
     Raises:
         ValueError: The key has no version, or is taken.
@@ -441,7 +438,7 @@ def task(
         spec = make()
         if not isinstance(spec, TaskSpec):
             raise ValueError(f"task {key!r} must be a TaskSpec, got {type(spec).__name__}")
-        register(dataclasses.replace(spec, name=name, version=version, doc=doc), replace=replace)
+        register(dataclasses.replace(spec, name=name, version=version, doc=doc, **otherwise), replace=replace)
         make.__dict__["key"] = key
         return make
 

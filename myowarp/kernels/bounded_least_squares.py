@@ -13,9 +13,6 @@ gradient projection.
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
 import warp as wp
 
 from myowarp.kernels.cholesky import eliminated, substitute
@@ -252,33 +249,3 @@ class BoundedLeastSquares:
         """Launch the kernel."""
         with wp.ScopedDevice(self.x.device):
             launch(solve_bounded_least_squares, self.x.shape[0], self)
-
-
-def bounded_least_squares(
-    matrix: np.ndarray, right: np.ndarray, lower: np.ndarray, upper: np.ndarray, ridge: float, **options: Any
-) -> tuple[np.ndarray, np.ndarray]:
-    """Solve from host arrays.
-
-    Args:
-        matrix: A, shape (num_worlds, num_rows, num_unknowns).
-        right: b, shape (num_worlds, num_rows).
-        lower: Lower bounds, broadcast to (num_worlds, num_unknowns).
-        upper: Upper bounds.
-        ridge: Weight of |x|^2, > 0.
-        **options: Of `BoundedLeastSquares`.
-
-    Returns:
-        x (num_worlds, num_unknowns) and the residual (num_worlds,).
-
-    Raises:
-        ValueError: The ridge is not above 0, or a lower bound is above its upper one.
-    """
-    problem = BoundedLeastSquares(*np.shape(matrix), ridge=ridge, **options)
-    bounds = np.broadcast_to(lower, problem.x.shape), np.broadcast_to(upper, problem.x.shape)
-    if not (bounds[0] <= bounds[1]).all():
-        raise ValueError("lower bounds must be at most the upper ones")
-    values = {"matrix": matrix, "right": right, "lower": bounds[0], "upper": bounds[1]}
-    for name, value in values.items():
-        getattr(problem, name).assign(np.ascontiguousarray(value, dtype=np.float64))
-    problem.solve()
-    return problem.x.numpy(), problem.residual.numpy()

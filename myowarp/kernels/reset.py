@@ -6,6 +6,7 @@ import mujoco_warp as mjw
 import warp as wp
 
 from myowarp.kernels.batching import as_rows
+from myowarp.kernels.launch import launch
 from myowarp.kernels.random import POSTURE, RandomKeys, open_stream
 
 
@@ -85,19 +86,7 @@ def reset_worlds(mask: wp.array, qpos_start: wp.array, data: mjw.Data) -> None:
 
     Everything else in `data` is recomputed from this state by the next step.
     """
-    wp.launch(
-        reset_world,
-        dim=data.nworld,
-        inputs=[mask, qpos_start],
-        outputs=[
-            data.qpos,
-            data.qvel,
-            data.ctrl,
-            data.qacc_warmstart,
-            data.time,
-            data.overflow,
-        ],
-    )
+    launch(reset_world, data.nworld, data, mask=mask, qpos_start=qpos_start)
 
 
 @wp.kernel(enable_backward=False)

@@ -34,14 +34,12 @@ HINGE, SLIDE, BALL, FREE = (
     )
 )
 ROWS_TOGETHER = 2048  # targets times starts; 25 MB for the hand, and more rows are no faster
-MAX_DRAWS = 100  # for a row of `reachable_targets`
 
 
 def reachable(
     model: mujoco.MjModel,
     tips: tuple[str, ...],
     targets: np.ndarray,
-    iterations: int = NUM_ITERATIONS,
     num_starts: int = NUM_STARTS,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return how close the tips can come to each target, and where the joints are then.
@@ -53,7 +51,6 @@ def reachable(
         model: The body, full or slim; see `unsolved`.
         tips: Names of tip sites.
         targets: Target points [m], world coordinates, shape (num_targets, 3 num_tips).
-        iterations: Iterations of each of the two solves.
         num_starts: Starts of the search for each target; the first one is mid-range.
 
     Returns:
@@ -75,50 +72,12 @@ def reachable(
     for chunk in (slice(first, first + step) for first in range(0, len(targets), step)):
         wanted = np.repeat(targets[chunk], num_starts, axis=0)
         angles = np.tile(starts, (len(targets[chunk]), 1))
-        angles = _within_ranges(model, _solve(model, tips, wanted, angles, iterations))
+        angles = _within_ranges(model, _solve(model, tips, wanted, angles))
         distance = np.linalg.norm(tip_positions(model, tips, angles) - wanted, axis=1)
         best = np.nanargmin(distance.reshape(-1, num_starts), axis=1)
         rows = np.arange(0, len(wanted), num_starts) + best
         residual[chunk], qpos[chunk] = distance[rows], angles[rows]
     return residual, qpos
-
-
-def reachable_targets(
-    model: mujoco.MjModel,
-    tips: tuple[str, ...],
-    center: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    near: float,
-    count: int,
-    seed: int = 0,
-) -> np.ndarray:
-    """Draw targets uniformly from the part of a box that the tips can reach within `near` [m].
-
-    Row i is the first of its own draws from U(center + low, center + high) whose residual is at most
-    `near`. A borderline draw that another processor's rounding decides otherwise changes its row only.
-    The search has one start: a minimum that it misses costs one more draw, and never admits a target.
-
-    Returns:
-        Targets [m], shape (count, 3 num_tips); the first rows are those of a smaller `count`.
-
-    Raises:
-        ValueError: A row met no reachable target in `MAX_DRAWS` draws, or as `reachable` raises.
-    """
-    targets = np.empty((count, len(center)))
-    empty = np.arange(count)
-    for draw in range(MAX_DRAWS):
-        offset = np.random.default_rng((seed, draw)).uniform(low, high, targets.shape)
-        candidates = center + offset[empty]
-        accepted = reachable(model, tips, candidates, num_starts=1)[0] <= near
-        targets[empty[accepted]] = candidates[accepted]
-        empty = empty[~accepted]
-        if not len(empty):
-            return targets
-    raise ValueError(
-        f"{len(empty)} of {count} targets met no point within {near} m of the reach of the tips in "
-        f"{MAX_DRAWS} draws; move the box or raise near"
-    )
 
 
 def tip_positions(model: mujoco.MjModel, tips: tuple[str, ...], qpos: np.ndarray) -> np.ndarray:
@@ -191,7 +150,6 @@ def _solve(
     tips: tuple[str, ...],
     targets: np.ndarray,
     starts: np.ndarray,
-    iterations: int,
 ) -> np.ndarray:
     """Return the configurations found from each start, perhaps slightly out of range."""
     from newton import ik  # takes a second to import, paid only by those who solve
@@ -213,7 +171,7 @@ def _solve(
     for weight in LIMIT_WEIGHTS:
         for limit, scale in limits:
             limit.weight = scale * weight
-        solver.step(coordinates, coordinates, iterations)
+        solver.step(coordinates, coordinates, NUM_ITERATIONS)
     found = np.empty_like(starts)
     found[:, places] = coordinates.numpy()
     return found + zero

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from myowarp.disk import in_place, make_folder
-from myowarp.extras import to_install
+from myowarp.extras import check_installed
 from myowarp.motion.markers import UNITS, Markers, write_trc
 from myowarp.motion.storage import Storage, logger, write_storage
 
@@ -123,12 +123,9 @@ def read_c3d(path: Path, up: str | None = None, names: Mapping[str, str] | None 
         ImportError: ezc3d is not installed.
         OSError: It cannot be read.
     """
-    try:
-        import ezc3d
-    except ImportError as error:
-        raise ImportError(
-            f"{str(path)!r} needs ezc3d, which is not installed; run {to_install('c3d')}"
-        ) from error
+    check_installed(repr(str(path)), "ezc3d", "c3d")
+    import ezc3d
+
     with path.open("rb") as file:
         if file.read(2)[1:] != b"\x50":
             raise ValueError(f"{str(path)!r} is no C3D file; its second byte must be 0x50")

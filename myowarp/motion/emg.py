@@ -94,12 +94,11 @@ def compare(recording: Storage, activation: Storage) -> Comparison:
     return Comparison(envelope, activation, agreement(envelope, activation))
 
 
-def envelopes(recording: Storage, smooth: float = SMOOTH) -> Storage:
+def envelopes(recording: Storage) -> Storage:
     """Return envelopes, each from 0 to 1; 0 where a column has no signal, which is said.
 
     Args:
         recording: Raw electromyograms over time, in any unit.
-        smooth: Frequency of the envelope [Hz].
 
     Raises:
         ValueError: Steps are not equal, the rate is too low, or the recording is too short.
@@ -115,12 +114,8 @@ def envelopes(recording: Storage, smooth: float = SMOOTH) -> Storage:
             f"an electromyogram has {BAND[0]:g} to {BAND[1]:g} Hz, and needs a rate of {4 * BAND[0]:g} Hz at "
             f"least, got {rate:g}; columns that are envelopes are activations already"
         )
-    if not 0.0 < smooth < BAND[0]:
-        raise ValueError(
-            f"the frequency of an envelope must be above 0 and below {BAND[0]:g} Hz, got {smooth:g}"
-        )
     band = signal.butter(ORDER, (BAND[0], min(BAND[1], 0.45 * rate)), "bandpass", fs=rate, output="sos")
-    low = signal.butter(ORDER, smooth, fs=rate, output="sos")
+    low = signal.butter(ORDER, SMOOTH, fs=rate, output="sos")
     try:
         raw = signal.sosfiltfilt(band, recording.values, axis=0)
         smoothed = np.maximum(signal.sosfiltfilt(low, np.abs(raw), axis=0), 0.0)
@@ -145,13 +140,12 @@ def envelopes(recording: Storage, smooth: float = SMOOTH) -> Storage:
     return Storage(recording.labels, recording.time, smoothed / np.where(most > 0.0, most, 1.0))
 
 
-def agreement(envelope: Storage, activation: Storage, delays: Sequence[float] = DELAYS) -> list[Agreement]:
+def agreement(envelope: Storage, activation: Storage) -> list[Agreement]:
     """Return how activations follow envelopes, for the muscles that both have, the least alike first.
 
     Args:
         envelope: From `envelopes`.
         activation: Over time.
-        delays: Least and greatest delay [s].
 
     Raises:
         ValueError: Both share no muscle, or hardly any time.
@@ -174,7 +168,7 @@ def agreement(envelope: Storage, activation: Storage, delays: Sequence[float] = 
             f"the electromyogram, from {first:.4g} to {last:.4g} s, and the activations, from {begin:.4g} to "
             f"{end:.4g} s, must share {SHARED:g} s; give both the same clock"
         )
-    tried = np.arange(delays[0], delays[1] + 1e-9, 1e-3)
+    tried = np.arange(DELAYS[0], DELAYS[1] + 1e-9, 1e-3)
     found = []
     for name in shared:
         wanted = envelope.values[:, envelope.labels.index(name)]

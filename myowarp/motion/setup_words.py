@@ -47,15 +47,15 @@ def body_of(name: str) -> str:
     return found[1] if found else name
 
 
-def span_of(element: Element, default: Span, tag: str = "time_range") -> Span:
+def span_of(element: Element, default: Span) -> Span:
     """Return a range of times.
 
     Raises:
         ValueError: It is not two numbers, or they are not in order.
     """
-    if not stated(element, tag):
+    if not stated(element, "time_range"):
         return default
-    found = element.need(tag)
+    found = element.need("time_range")
     times = found.parsed(finite=False)
     if len(times) != 2 or np.isnan(times).any():
         raise found.error(f"must be two times, got {found.text.strip()[:60]!r}")

@@ -20,6 +20,7 @@ from myowarp.definitions.body import BODIES, Body
 from myowarp.definitions.condition import Condition, resolve
 from myowarp.definitions.muscle import MUSCLES, MuscleModel, muscle_names
 from myowarp.definitions.muscle_table import MuscleTable
+from myowarp.definitions.registry import is_integer
 from myowarp.definitions.scene import Scene
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import PHYSICS, PhysicsPreset, TaskSpec
@@ -226,7 +227,7 @@ def checked_num_worlds(num_worlds: int, name: str = "num_worlds") -> int:
     Raises:
         ValueError: It is no positive integer.
     """
-    if isinstance(num_worlds, bool) or not isinstance(num_worlds, (int, np.integer)) or num_worlds < 1:
+    if not is_integer(num_worlds) or num_worlds < 1:
         raise ValueError(f"{name} must be a positive integer, got {num_worlds!r}")
     return int(num_worlds)
 
@@ -237,7 +238,7 @@ def checked_horizon(horizon: int, name: str = "horizon") -> int:
     Raises:
         ValueError: It is no positive integer, or more than the device counts.
     """
-    if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 1:
+    if not is_integer(horizon) or horizon < 1:
         raise ValueError(f"{name} must be a positive integer, got {horizon!r}")
     if horizon > MOST_STEPS:
         raise ValueError(f"{name} must be at most {MOST_STEPS}, got {horizon}")

@@ -1,6 +1,5 @@
 """Arrays of the simulation for users of NumPy, torch or Warp, and their actions back."""
 
-import importlib.util
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -8,7 +7,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.definitions.registry import check_choice
-from myowarp.extras import to_install
+from myowarp.extras import check_installed
 from myowarp.kernels.write import write
 from myowarp.process import with_build_lock
 
@@ -31,10 +30,7 @@ class Output:
             ImportError: The library is not installed.
         """
         check_choice("output", library, OUTPUTS)
-        if importlib.util.find_spec(library) is None:
-            raise ImportError(
-                f'output="{library}" needs {library}, which is not installed; run {to_install(library)}'
-            )
+        check_installed(f'output="{library}"', library, library)
         self._library = library
         self._copy = copy
 

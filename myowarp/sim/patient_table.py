@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import importlib.util
-import io
 import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,8 +12,8 @@ from myowarp.definitions.condition import resolve
 from myowarp.definitions.muscle import muscle_names
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TaskSpec
-from myowarp.disk import delimiter_of
-from myowarp.extras import to_install
+from myowarp.disk import csv_rows
+from myowarp.extras import check_installed
 from myowarp.process import warn_once
 from myowarp.sim.build import oracle_model
 from myowarp.sim.patient_columns import COLUMNS, EXCLUSIVE, TornMuscles, acting_from, conditions_of, is_course
@@ -148,10 +145,7 @@ def read_table(path: Path, what: str = "cohort") -> tuple[list[str], list[list[A
     if path.suffix.lower() == ".csv":
         return _csv(path, what)
     for package in ("pandas", "pyarrow"):
-        if importlib.util.find_spec(package) is None:
-            raise ImportError(
-                f"{str(path)!r} needs {package}, which is not installed; run {to_install('cohort')}"
-            )
+        check_installed(repr(str(path)), package, "cohort")
     import pandas as pd
     import pyarrow as pa
 
@@ -162,17 +156,8 @@ def read_table(path: Path, what: str = "cohort") -> tuple[list[str], list[list[A
 
 
 def _csv(path: Path, what: str) -> tuple[list[str], list[list[Any]]]:
-    """Return header and rows of a CSV file; empty lines are left out."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{what} table {str(path)!r} is not UTF-8 text ({error})") from error
-    delimiter = delimiter_of(text.partition("\n")[0])
-    try:
-        rows = list(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter))
-    except csv.Error as error:
-        raise ValueError(f"{what} table {str(path)!r} is no CSV file ({error})") from error
-    lines = [row for row in rows if any(map(str.strip, row))]
+    """Return header and rows of a CSV file."""
+    lines = csv_rows(path, f"{what} table {str(path)!r}")
     if not lines:
         return [], []
     header = [name.strip() for name in lines[0]]

@@ -48,6 +48,7 @@ from myowarp.kernels.episode import (
     open_episode,
     publish_observation,
 )
+from myowarp.kernels.launch import launch
 from myowarp.kernels.random import seed_worlds
 from myowarp.kernels.reset import place_start, reset_worlds
 from myowarp.kernels.write import write
@@ -245,12 +246,7 @@ class Shard:
         for effect in reversed(self.effects):
             column -= sum(block.size for block in effect.columns)
             effect.observe(mask, draft, column)
-        wp.launch(
-            publish_observation,
-            dim=self.num_worlds,
-            inputs=[mask, draft],
-            outputs=[transition.obs, transition.fault, transition.fault_index],
-        )
+        launch(publish_observation, self.num_worlds, transition, mask=mask, draft=draft)
 
     def launch_conditions(self) -> None:
         """Let the conditions change excitations, muscles and body, for one control step."""
@@ -267,29 +263,14 @@ class Shard:
     def launch_action(self) -> None:
         """Map actions to controls."""
         scene, transition = self.scene, self.transition
-        wp.launch(
-            apply_action,
-            dim=self.num_worlds,
-            inputs=[scene.actuator_kind, scene.model.actuator_ctrlrange, self.action],
-            outputs=[scene.data.ctrl, transition.fault],
-        )
+        launch(apply_action, self.num_worlds, scene, scene.model, self, scene.data, transition)
 
     def launch_scoring(self) -> None:
         """Judge the present state: faults, reward terms, observation, reward, and what ends."""
         data, transition = self.scene.data, self.transition
         for state in self.scene.muscles.state.values():
-            wp.launch(
-                detect_state_faults,
-                dim=self.num_worlds,
-                inputs=[as_rows(state)],
-                outputs=[transition.fault],
-            )
-        wp.launch(
-            detect_faults,
-            dim=self.num_worlds,
-            inputs=[data.qpos, data.qvel, self.episode.ended, self.autoreset],
-            outputs=[data.overflow, transition.fault, self.masks.live],
-        )
+            launch(detect_state_faults, self.num_worlds, transition, state=as_rows(state))
+        launch(detect_faults, self.num_worlds, data, self.episode, self, transition, self.masks)
         column = len(self.scene.spec.reward_terms())
         terms = transition.terms[:, :column]
         self.program.score(self.episode.step_count, terms, transition.solved, transition.failed)
@@ -299,12 +280,7 @@ class Shard:
         for sense in self.senses:
             sense.remember(self.masks.live, transition.obs)
         self._launch_observation(self.masks.live)
-        wp.launch(
-            advance_episode,
-            dim=self.num_worlds,
-            inputs=[self.weights, self.horizon, self.autoreset, self.scene.reset == "none"],
-            outputs=[self.episode, transition, self.masks],
-        )
+        launch(advance_episode, self.num_worlds, self, keep_state=self.scene.reset == "none")
 
     def _launch_asked_reset(self) -> None:
         """Reset that the user asked for; the state is reset in every mode."""
@@ -341,12 +317,7 @@ class Shard:
             sense.forget(renew)
         self.program.sample_start(reset)
         if self.starts is not None:
-            wp.launch(
-                place_start,
-                dim=self.num_worlds,
-                inputs=[self.starts, self.start_address, scene.keys, reset],
-                outputs=[scene.data.qpos],
-            )
+            launch(place_start, self.num_worlds, self, scene, scene.data, reset=reset)
         self.physics_step.follow()
         self.program.sample_goal(renew)
         self._launch_settling(reset)

@@ -16,12 +16,13 @@ held throughout the step.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
 from myowarp.definitions.body import BODIES, POINT_JOINTS
+from myowarp.kernels.launch import launch
 from myowarp.kernels.reset import masked_copy
 from myowarp.process import with_build_lock
 from myowarp.sim.metabolics import LAWS, WHOLE_BODY_UNITS, Metabolics, MuscleRates, moved_mass
@@ -174,31 +175,17 @@ class Signals:
             metabolics = Metabolics(scene)
         compute, sources = present_muscles(scene), _sources(shard, shard.shown) | metabolics.whole_body
 
-        def launch(mask: wp.array | None) -> None:
+        def observe(mask: wp.array | None) -> None:
             compute()
             metabolics.launch()
-            wp.launch(
-                read_muscles,
-                dim=muscles.force.shape,
-                inputs=[
-                    self.actuator_id,
-                    data.ctrl,
-                    scene.muscles.activation,
-                    scene.muscles.tension,
-                    scene.muscles.length,
-                    scene.muscles.velocity,
-                    metabolics.rates,
-                    mask is None,
-                    mask,
-                ],
-                outputs=[muscles],
-            )
+            where: dict[str, Any] = {"everywhere": mask is None, "mask": mask, "muscles": muscles}
+            launch(read_muscles, muscles.force.shape, self, data, scene.muscles, metabolics, **where)
             for name, source in sources.items():
                 # What was reset just now is valid, whatever the last step found.
                 known = mask if mask is not None and name == "valid" else source
                 masked_copy(mask, known, copies[name])
 
-        shard.attach(launch)
+        shard.attach(observe)
 
 
 def _sources(sim: Simulation | Shard, shown: dict[str, wp.array]) -> dict[str, wp.array]:

@@ -22,7 +22,7 @@ import warp as wp
 
 from myowarp.definitions.condition import resolve
 from myowarp.definitions.muscle import Anatomy
-from myowarp.definitions.registry import check_choice, check_flag
+from myowarp.definitions.registry import check_choice, check_flag, is_integer
 from myowarp.definitions.scene import Scene
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TaskSpec
@@ -276,7 +276,7 @@ def _checked_shards(shards: int | None, num_worlds: int, device: wp.Device) -> i
     """
     if shards is None:
         return max(1, min(num_cores(), num_worlds // LEAST_WORLDS)) if device.is_cpu else 1
-    if not _is_integer(shards) or not 1 <= shards <= num_worlds:
+    if not is_integer(shards) or not 1 <= shards <= num_worlds:
         raise ValueError(
             f"shards must be an integer from 1 to the number of worlds, {num_worlds}, got {shards!r}"
         )
@@ -291,16 +291,11 @@ def _checked_rank(rank: object) -> tuple[int, int]:
     Raises:
         ValueError: It is no pair (r, R) with 0 <= r < R.
     """
-    if not (isinstance(rank, (tuple, list)) and len(rank) == 2 and all(map(_is_integer, rank))):
+    if not (isinstance(rank, (tuple, list)) and len(rank) == 2 and all(map(is_integer, rank))):
         raise ValueError(f"rank must be a pair of integers (r, R), got {rank!r}")
     if not 0 <= rank[0] < rank[1]:
         raise ValueError(f"rank (r, R) must have 0 <= r < R, got {tuple(rank)}")
     return int(rank[0]), int(rank[1])
-
-
-def _is_integer(value: object) -> bool:
-    """Whether it is an integer and no truth value."""
-    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
 
 
 def _joined(scene: Scene, worlds: Worlds) -> Scene:

@@ -225,6 +225,10 @@ class BaodingTask(TaskSpec):
         "failed": is_fallen,
     }
     coarse_step = CoarseStep(0.005, 0.35)
+    sites = ("palm_frame",)  # the targets move in its frame
+    carried = tuple(BALLS)
+    start_doc = "the open hand, palm up, with the balls above it"
+    failed_when = f"the centre of a ball is below {DROPPED:g} m, height in the world"
 
     body: str = "contact_hand"
     num_substeps: int = 10
@@ -240,33 +244,15 @@ class BaodingTask(TaskSpec):
         return (*super().scene_key, self.corrected)
 
     @property
-    def sites(self) -> tuple[str, ...]:
-        """Origin of the frame in which the targets move."""
-        return ("palm_frame",)
-
-    @property
     def batched(self) -> tuple[str, ...]:
         """Fields that differ between balls."""
         inertia = BATCHED_INERTIA if self.corrected else ()
         return () if self.balls is None else (*BATCHED, *inertia)
 
     @property
-    def carried(self) -> tuple[str, ...]:
-        """The balls."""
-        return tuple(BALLS)
-
-    @property
-    def start_doc(self) -> str:
-        return "the open hand, palm up, with the balls above it"
-
-    @property
     def solved_when(self) -> str:
         jumped = ", and the targets have jumped" if self.orbits.jumps else ""
         return f"both balls are within {NEAR:g} m of their targets{jumped}"
-
-    @property
-    def failed_when(self) -> str:
-        return f"the centre of a ball is below {DROPPED:g} m, height in the world"
 
     @property
     def draws(self) -> tuple[Draw, ...]:

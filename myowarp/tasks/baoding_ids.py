@@ -23,52 +23,22 @@ ANY_ORBIT = OrbitRanges(
 ANY_BALLS = BallRanges(mass=(0.03, 0.3), radius=(0.018, 0.024), friction=FRICTION_RANGE)
 
 
-@task("myoChallengeBaodingP1-v1")
-def challenge_1_v1() -> BaodingTask:
-    """Circle two balls on the palm, counter-clockwise, a revolution in 5 s."""
-    return BaodingTask()
-
-
-@task("myoChallengeBaodingP1-v2", CORRECTED)
-def challenge_1() -> BaodingTask:
-    """Circle two balls on the palm, counter-clockwise, a revolution in 5 s."""
-    return BaodingTask(corrected=True)
-
-
+@task("myoHandBaodingFixed-v1", CORRECTED, corrected=True)
 @task("myoHandBaodingFixed-v0")
-def fixed_v0() -> BaodingTask:
+@task("myoChallengeBaodingP1-v2", CORRECTED, corrected=True)
+@task("myoChallengeBaodingP1-v1")
+def circle() -> BaodingTask:
     """Circle two balls on the palm, counter-clockwise, a revolution in 5 s."""
     return BaodingTask()
 
 
-@task("myoHandBaodingFixed-v1", CORRECTED)
-def fixed() -> BaodingTask:
-    """Circle two balls on the palm, counter-clockwise, a revolution in 5 s."""
-    return BaodingTask(corrected=True)
-
-
-@task("myoChallengeBaodingP2-v1")
-def challenge_2_v1() -> BaodingTask:
-    """Circle two balls of unknown mass, size and friction either way, or hold them."""
-    return BaodingTask(orbits=ANY_ORBIT, balls=ANY_BALLS)
-
-
-@task("myoChallengeBaodingP2-v2", CORRECTED)
-def challenge_2() -> BaodingTask:
-    """Circle two balls of unknown mass, size and friction either way, or hold them."""
-    return BaodingTask(orbits=ANY_ORBIT, balls=ANY_BALLS, corrected=True)
-
-
+@task("myoHandBaodingRandom-v1", CORRECTED, corrected=True)
 @task("myoHandBaodingRandom-v0")
-def random_v0() -> BaodingTask:
+@task("myoChallengeBaodingP2-v2", CORRECTED, corrected=True)
+@task("myoChallengeBaodingP2-v1")
+def either_way() -> BaodingTask:
     """Circle two balls of unknown mass, size and friction either way, or hold them."""
     return BaodingTask(orbits=ANY_ORBIT, balls=ANY_BALLS)
-
-
-@task("myoHandBaodingRandom-v1", CORRECTED)
-def random() -> BaodingTask:
-    """Circle two balls of unknown mass, size and friction either way, or hold them."""
-    return BaodingTask(orbits=ANY_ORBIT, balls=ANY_BALLS, corrected=True)
 
 
 @task("myoHandBaodingSwap-v0", CORRECTED)

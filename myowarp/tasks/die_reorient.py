@@ -240,6 +240,9 @@ class DieReorientTask(TaskSpec):
     least_contacts: ClassVar[int] = (
         75  # 51 were the most in 256 worlds and 150 random steps, dice of all sizes
     )
+    large = True  # objects of many kinds and parts touch the hand
+    carried = ("Object",)
+    start_doc = "the open hand, palm up, with the die on it"
 
     body: str = "contact_hand"
     num_substeps: int = 5
@@ -251,11 +254,6 @@ class DieReorientTask(TaskSpec):
     mass: tuple[float, float] = (MASS, MASS)
     friction: tuple[float, float, float] = (0.0, 0.0, 0.0)
     free: bool = False
-
-    @property
-    def large(self) -> bool:
-        """Whether a step costs many times that of a hand: objects of many kinds and parts touch it."""
-        return True
 
     @property
     def measures(self) -> dict[str, wp.Function]:  # type: ignore[override]
@@ -286,15 +284,6 @@ class DieReorientTask(TaskSpec):
     def batched(self) -> tuple[str, ...]:
         """Fields that follow from the die's size, mass and friction."""
         return (*BATCHED_SHAPE, *BATCHED_MASS) if self.varied else ()
-
-    @property
-    def carried(self) -> tuple[str, ...]:
-        """The die."""
-        return ("Object",)
-
-    @property
-    def start_doc(self) -> str:
-        return "the open hand, palm up, with the die on it"
 
     @property
     def solved_when(self) -> str:

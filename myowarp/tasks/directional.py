@@ -110,6 +110,12 @@ class DirectionalTask(TaskSpec):
         "solved": follows,
     }
     linear_excitation: ClassVar[bool] = True
+    uses_kinematics = False  # coordinates and velocities say all
+    start_doc = "standing with slightly bent knees"
+    solved_when = (
+        f"the velocity of the root is within {VELOCITY_NEAR:g} m/s of the commanded one, and it is up"
+    )
+    failed_when = f"the root is below {LEAST_ROOT_HEIGHT:g} m"
 
     body: str = "legs"
     num_substeps: int = 5
@@ -118,23 +124,6 @@ class DirectionalTask(TaskSpec):
     start_pose: tuple[float, ...] = STANDING_POSE
     speed: float
     angle: tuple[float, float]
-
-    @property
-    def uses_kinematics(self) -> bool:
-        """Coordinates and velocities say all."""
-        return False
-
-    @property
-    def start_doc(self) -> str:
-        return "standing with slightly bent knees"
-
-    @property
-    def solved_when(self) -> str:
-        return f"the velocity of the root is within {VELOCITY_NEAR:g} m/s of the commanded one, and it is up"
-
-    @property
-    def failed_when(self) -> str:
-        return f"the root is below {LEAST_ROOT_HEIGHT:g} m"
 
     @property
     def draws(self) -> tuple[Draw, ...]:

@@ -45,7 +45,7 @@ def pose_task(path: Path, stops: bool = True, contact: str = CONTACTS[0]) -> Pos
         contact: As for `from_mjcf`.
 
     Raises:
-        ValueError: The file is unsuitable (`read_body`), or its actuators move no joint.
+        ValueError: The file is unsuitable (`register_body`), or its actuators move no joint.
     """
     return cast(PoseTask, from_mjcf(path, stops=stops, contact=contact))
 

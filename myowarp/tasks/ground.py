@@ -162,6 +162,10 @@ class GroundTask(TerrainTask):
         "failed": falls,
         "solved": keeps_up,
     }
+    failed_when = (
+        f"{TerrainTask.failed_when}; heights of the center of mass are those above the ground below the root"
+    )
+    varies = True
 
     terrain: str = "drawn"
     grade: tuple[float, float] = (0.0, 0.0)
@@ -183,18 +187,8 @@ class GroundTask(TerrainTask):
                 )
 
     @property
-    def varies(self) -> bool:
-        return True
-
-    @property
     def scene_key(self) -> tuple[object, ...]:
         return (*super().scene_key, *(getattr(self, name) for name in MOST))
-
-    @property
-    def failed_when(self) -> str:
-        return (
-            f"{super().failed_when}; heights of the center of mass are those above the ground below the root"
-        )
 
     @property
     def draws(self) -> tuple[Draw, ...]:

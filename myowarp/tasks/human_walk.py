@@ -82,10 +82,7 @@ class HumanWalkTask(WalkTask):
     shown: ClassVar[Shown | None] = Shown(
         "Random actions: no policy has been trained yet.", "myoLegWalkHuman-v0", "random", 60, 4
     )
-
-    @property
-    def start_doc(self) -> str:
-        return f"on the left foot at 1.25 m/s, all muscles activated to {START_ACTIVATION:g}"
+    start_doc = f"on the left foot at 1.25 m/s, all muscles activated to {START_ACTIVATION:g}"
 
     def columns(self, nq: int, nv: int, num_muscles: int) -> tuple[Column, ...]:
         """Return the blocks of `walk` without the phase of its cycle."""

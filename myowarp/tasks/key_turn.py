@@ -13,7 +13,7 @@ and 0.03 ms without, both below the physics step.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import mujoco
@@ -177,6 +177,10 @@ class KeyTurnTask(TaskSpec):
         "failed": is_lost,
     }
     coarse_step = CoarseStep(0.004, 0.35)
+    sites = ("keyhead", "IFtip_r", "THtip_r")
+    batched = ("body_pos",)
+    start_doc = "the open hand, every joint at 0, beside the key"
+    failed_when = f"the distance of a tip from the key head differs from {GRIP:g} m by more than {LOST:g} m"
 
     body: str = "contact_hand"
     num_substeps: int = 10
@@ -188,26 +192,8 @@ class KeyTurnTask(TaskSpec):
     alive_weight: float = 0.0
 
     @property
-    def sites(self) -> tuple[str, ...]:
-        """Key head and the two tips."""
-        return ("keyhead", "IFtip_r", "THtip_r")
-
-    @property
-    def batched(self) -> tuple[str, ...]:
-        """The key's position."""
-        return ("body_pos",)
-
-    @property
-    def start_doc(self) -> str:
-        return "the open hand, every joint at 0, beside the key"
-
-    @property
     def solved_when(self) -> str:
         return f"the key's angle exceeds {self.goal_angle:.4g} rad"
-
-    @property
-    def failed_when(self) -> str:
-        return f"the distance of a tip from the key head differs from {GRIP:g} m by more than {LOST:g} m"
 
     @property
     def draws(self) -> tuple[Draw, ...]:
@@ -275,31 +261,16 @@ LIVING_PAYS = (
 HALF = " The task is solved from half a revolution on; in v0 from 3.14 rad, just before the bonus for it."
 
 
-def turn_by_a_revolution() -> KeyTurnTask:
-    """Return the task with a random key, as MyoSuite rewards it."""
-    turn, half = 2.0 * np.pi, 0.5 * np.pi
-    return KeyTurnTask(goal_angle=turn, angle_low=-half, angle_high=half, jitter=0.01)
-
-
+@task("myoHandKeyTurnFixed-v1", LIVING_PAYS + HALF, goal_angle=np.pi, alive_weight=ALIVE_WEIGHT)
 @task("myoHandKeyTurnFixed-v0")
-def fixed_v0() -> KeyTurnTask:
+def by_half_a_revolution() -> KeyTurnTask:
     """Turn a key by half a revolution."""
     return KeyTurnTask(goal_angle=3.14)
 
 
+@task("myoHandKeyTurnRandom-v1", LIVING_PAYS, alive_weight=ALIVE_WEIGHT)
 @task("myoHandKeyTurnRandom-v0")
-def random_v0() -> KeyTurnTask:
+def by_a_revolution() -> KeyTurnTask:
     """Turn a key, met at a random angle and place, by a full revolution."""
-    return turn_by_a_revolution()
-
-
-@task("myoHandKeyTurnFixed-v1", LIVING_PAYS + HALF)
-def fixed() -> KeyTurnTask:
-    """Turn a key by half a revolution."""
-    return KeyTurnTask(goal_angle=np.pi, alive_weight=ALIVE_WEIGHT)
-
-
-@task("myoHandKeyTurnRandom-v1", LIVING_PAYS)
-def random() -> KeyTurnTask:
-    """Turn a key, met at a random angle and place, by a full revolution."""
-    return replace(turn_by_a_revolution(), alive_weight=ALIVE_WEIGHT)
+    turn, half = 2.0 * np.pi, 0.5 * np.pi
+    return KeyTurnTask(goal_angle=turn, angle_low=-half, angle_high=half, jitter=0.01)

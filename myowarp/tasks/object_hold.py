@@ -8,8 +8,8 @@ MyoSuite 3.0.0, family ObjHold (paper: Caggiano et al. 2022, arXiv:2205.13600).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
@@ -106,6 +106,9 @@ class ObjectHoldTask(TaskSpec):
     wider: ClassVar[float] = 2.0  # times `near`: where the first bonus begins
     far: ClassVar[float] = 0.3  # m, error beyond which the object is lost
     coarse_step = CoarseStep(0.005, 0.5)
+    uses_kinematics = False  # the coordinates of the free object are its position
+    carried = ("object",)
+    start_doc = "the open hand, palm up, with the object on it"
 
     body: str = "contact_hand"
     num_substeps: int = 10
@@ -122,22 +125,9 @@ class ObjectHoldTask(TaskSpec):
         return (*super().scene_key, self.true_inertia)
 
     @property
-    def uses_kinematics(self) -> bool:
-        """The coordinates of the free object are its position."""
-        return False
-
-    @property
     def batched(self) -> tuple[str, ...]:
         """The object's size and what follows from it."""
         return (*BATCHED_SIZE, *BATCHED_MASS) if self.true_inertia else BATCHED_SIZE
-
-    @property
-    def carried(self) -> tuple[str, ...]:
-        return ("object",)
-
-    @property
-    def start_doc(self) -> str:
-        return "the open hand, palm up, with the object on it"
 
     @property
     def solved_when(self) -> str:
@@ -195,8 +185,10 @@ class ObjectHoldTask(TaskSpec):
         )
 
 
-CUBE = ((-0.265, -0.54, 1.42), (-0.205, -0.48, 1.48))  # m, MyoSuite's goals: 30 mm to all sides of the start
-CLEAR = ((-0.245, -0.54, 1.455), (-0.205, -0.48, 1.48))  # m, the part of the cube that the hand leaves free
+CUBE: dict[str, Any] = {"goal_low": (-0.265, -0.54, 1.42), "goal_high": (-0.205, -0.48, 1.48)}
+"""Goals [m] of MyoSuite: 30 mm to all sides of the start."""
+CLEAR: dict[str, Any] = {"goal_low": (-0.245, -0.54, 1.455), "goal_high": (-0.205, -0.48, 1.48)}
+"""The part of the cube that the hand leaves free."""
 
 TRUE_INERTIA = (
     "The object has mass and inertia of its size; in v0, as in MyoSuite 3.0.0, every object weighs 113 g"
@@ -208,37 +200,17 @@ ABOVE_PALM = (
 )
 
 
+@task("myoHandObjHoldFixed-v1", TRUE_INERTIA, true_inertia=True)
+@task("myoHandObjHoldFixed-v0")
 def lift() -> ObjectHoldTask:
-    """Return the task with one object and one goal, as in MyoSuite."""
+    """Lift an ellipsoid 20 mm off the palm and hold it."""
     size, goal = NOMINAL_SIZE, (-0.24, -0.52, 1.47)
     return ObjectHoldTask(goal_low=goal, goal_high=goal, size_low=size, size_high=size)
 
 
-def hold_anywhere(low: tuple[float, float, float], high: tuple[float, float, float]) -> ObjectHoldTask:
-    """Return the task with a random object and goals between `low` and `high`, as in MyoSuite."""
-    smallest, largest = (0.02, 0.02, 0.02), (0.03, 0.03, 0.03)
-    return ObjectHoldTask(goal_low=low, goal_high=high, size_low=smallest, size_high=largest)
-
-
-@task("myoHandObjHoldFixed-v0")
-def fixed_v0() -> ObjectHoldTask:
-    """Lift an ellipsoid 20 mm off the palm and hold it."""
-    return lift()
-
-
+@task("myoHandObjHoldRandom-v1", TRUE_INERTIA + ABOVE_PALM, true_inertia=True, **CLEAR)
 @task("myoHandObjHoldRandom-v0")
-def random_v0() -> ObjectHoldTask:
+def hold_anywhere() -> ObjectHoldTask:
     """Hold an ellipsoid of random size at a random place."""
-    return hold_anywhere(*CUBE)
-
-
-@task("myoHandObjHoldFixed-v1", TRUE_INERTIA)
-def fixed() -> ObjectHoldTask:
-    """Lift an ellipsoid 20 mm off the palm and hold it."""
-    return replace(lift(), true_inertia=True)
-
-
-@task("myoHandObjHoldRandom-v1", TRUE_INERTIA + ABOVE_PALM)
-def random() -> ObjectHoldTask:
-    """Hold an ellipsoid of random size at a random place."""
-    return replace(hold_anywhere(*CLEAR), true_inertia=True)
+    smallest, largest = (0.02, 0.02, 0.02), (0.03, 0.03, 0.03)
+    return ObjectHoldTask(size_low=smallest, size_high=largest, **CUBE)

@@ -209,6 +209,10 @@ class PenTwirlTask(TaskSpec):
     }
     far: ClassVar[float] = float(DROPPED)
     coarse_step = CoarseStep(0.005, 0.5)
+    carried = ("Object",)
+    start_doc = "the open hand, palm up, with the pen on it"
+    solved_when = f"the cosine between pen and wanted pen exceeds {ALIGNED:g}, and the pen is not lost"
+    failed_when = f"the pen is lost: its centre is more than {DROPPED:g} m from where it started"
 
     body: str = "contact_hand"
     num_substeps: int = 5
@@ -220,23 +224,6 @@ class PenTwirlTask(TaskSpec):
     def scene_key(self) -> tuple[object, ...]:
         """The pen's joints are compiled in."""
         return (*super().scene_key, self.free)
-
-    @property
-    def carried(self) -> tuple[str, ...]:
-        """The pen."""
-        return ("Object",)
-
-    @property
-    def start_doc(self) -> str:
-        return "the open hand, palm up, with the pen on it"
-
-    @property
-    def solved_when(self) -> str:
-        return f"the cosine between pen and wanted pen exceeds {ALIGNED:g}, and the pen is not lost"
-
-    @property
-    def failed_when(self) -> str:
-        return f"the pen is lost: its centre is more than {DROPPED:g} m from where it started"
 
     @property
     def draws(self) -> tuple[Draw, ...]:
@@ -299,25 +286,15 @@ FREE = (
 )
 
 
+@task("myoHandPenTwirlFixed-v1", FREE, free=True)
 @task("myoHandPenTwirlFixed-v0")
-def fixed_v0() -> PenTwirlTask:
+def upright() -> PenTwirlTask:
     """Stand a pen upright in the hand."""
     return PenTwirlTask()
 
 
+@task("myoHandPenTwirlRandom-v1", FREE, free=True)
 @task("myoHandPenTwirlRandom-v0")
-def random_v0() -> PenTwirlTask:
+def tilted() -> PenTwirlTask:
     """Turn a pen in the hand to an orientation drawn anew each episode."""
     return PenTwirlTask(tilt=1.0)
-
-
-@task("myoHandPenTwirlFixed-v1", FREE)
-def fixed() -> PenTwirlTask:
-    """Stand a pen upright in the hand."""
-    return PenTwirlTask(free=True)
-
-
-@task("myoHandPenTwirlRandom-v1", FREE)
-def random() -> PenTwirlTask:
-    """Turn a pen in the hand to an orientation drawn anew each episode."""
-    return PenTwirlTask(tilt=1.0, free=True)

@@ -158,6 +158,7 @@ class PoseTask(TaskSpec):
     )
     measures: ClassVar = {"error": pose_error, "solved": is_near, "failed": is_far}
     wider: ClassVar[float] = 1.5  # times `near`: where the first bonus begins
+    uses_kinematics = False  # joint angles say everything
 
     num_substeps: int = 10
     horizon: int = 100
@@ -178,11 +179,6 @@ class PoseTask(TaskSpec):
     def batched(self) -> tuple[str, ...]:
         """Fields that follow from the weight, where one is drawn."""
         return BATCHED if self.weight else ()
-
-    @property
-    def uses_kinematics(self) -> bool:
-        """Joint angles say everything."""
-        return False
 
     @property
     def start_doc(self) -> str:

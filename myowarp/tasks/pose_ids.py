@@ -5,10 +5,11 @@ Hand poses are a relaxed posture, the ten digits of American Sign Language, and 
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from myowarp.definitions.task import task
+from myowarp.definitions.task import register, split_key, task
 from myowarp.tasks.hand_poses import DIGITS, RELAXED, as_in_myosuite_3, bounds
 from myowarp.tasks.pose import PoseTask
 
@@ -16,54 +17,26 @@ ELBOW_NEAR = 0.175  # rad
 EXO_EFFORT_WEIGHT = 5.0  # of the muscles; the motor is free
 
 
-def bend_finger() -> PoseTask:
-    """Return the task with one target pose."""
+STRONGER = "The motors have the gears of myo-sim 0.2.4, because those of version 0 are too weak."
+OF_MOTORS: dict[str, Any] = {"num_substeps": 5, "horizon": 200}
+"""Fields in which the finger with motors differs from that with muscles."""
+
+
+@task("motorFingerPoseFixed-v1", STRONGER, body="strong_motor_finger", **OF_MOTORS)
+@task("motorFingerPoseFixed-v0", body="motor_finger", **OF_MOTORS)
+@task("myoFingerPoseFixed-v0")
+def finger_fixed() -> PoseTask:
+    """Bend the finger to one pose."""
     pose = (0.0, 0.0, 0.75, 0.75)
     return PoseTask(body="finger", target_low=pose, target_high=pose, near=0.35)
 
 
-def bend_finger_anywhere() -> PoseTask:
-    """Return the task with a pose drawn anew each episode."""
-    return replace(bend_finger(), target_low=(-0.2, -0.4, 0.1, 0.1), target_high=(0.2, 1.0, 1.0, 1.0))
-
-
-@task("myoFingerPoseFixed-v0")
-def finger_fixed() -> PoseTask:
-    """Bend the finger to one pose."""
-    return bend_finger()
-
-
+@task("motorFingerPoseRandom-v1", STRONGER, body="strong_motor_finger", **OF_MOTORS)
+@task("motorFingerPoseRandom-v0", body="motor_finger", **OF_MOTORS)
 @task("myoFingerPoseRandom-v0")
 def finger_random() -> PoseTask:
     """Bend the finger to a pose drawn anew each episode."""
-    return bend_finger_anywhere()
-
-
-@task("motorFingerPoseFixed-v0")
-def motor_finger_fixed() -> PoseTask:
-    """Bend the finger to one pose."""
-    return replace(bend_finger(), body="motor_finger", num_substeps=5, horizon=200)
-
-
-@task("motorFingerPoseRandom-v0")
-def motor_finger_random() -> PoseTask:
-    """Bend the finger to a pose drawn anew each episode."""
-    return replace(bend_finger_anywhere(), body="motor_finger", num_substeps=5, horizon=200)
-
-
-STRONGER = "The motors have the gears of myo-sim 0.2.4, because those of version 0 are too weak."
-
-
-@task("motorFingerPoseFixed-v1", STRONGER)
-def strong_motor_finger_fixed() -> PoseTask:
-    """Bend the finger to one pose."""
-    return replace(motor_finger_fixed(), body="strong_motor_finger")
-
-
-@task("motorFingerPoseRandom-v1", STRONGER)
-def strong_motor_finger_random() -> PoseTask:
-    """Bend the finger to a pose drawn anew each episode."""
-    return replace(motor_finger_random(), body="strong_motor_finger")
+    return replace(finger_fixed(), target_low=(-0.2, -0.4, 0.1, 0.1), target_high=(0.2, 1.0, 1.0, 1.0))
 
 
 def turn_elbow(low: float, high: float) -> PoseTask:
@@ -108,14 +81,11 @@ def hand_pose(low: tuple[float, ...], high: tuple[float, ...] | None = None) -> 
     return PoseTask(body="hand", target_low=low, target_high=high or low, near=0.7, random_start=random)
 
 
-def sign_as_in_myosuite_3(digit: int) -> PoseTask:
-    """Return the task of signing a digit, thumb base values swapped."""
-    return hand_pose(as_in_myosuite_3(DIGITS[digit]))
-
-
-def sign(digit: int) -> PoseTask:
-    """Return the task of signing a digit."""
-    return hand_pose(DIGITS[digit])
+def sign(key: str, digit: int, posture: tuple[float, ...], why: str = "") -> None:
+    """Register the task of signing a digit; its doc ends with why this version exists."""
+    name, version = split_key(key)
+    doc = f"Sign the digit {digit} in American Sign Language. {why}".strip()
+    register(replace(hand_pose(posture), name=name, version=version, doc=doc))
 
 
 @task("myoHandPoseFixed-v0")
@@ -124,64 +94,16 @@ def hand_fixed_v0() -> PoseTask:
     return hand_pose(as_in_myosuite_3(RELAXED))
 
 
-@task("myoHandPose0Fixed-v0")
-def hand_0_v0() -> PoseTask:
-    """Sign the digit 0 in American Sign Language."""
-    return sign_as_in_myosuite_3(0)
-
-
-@task("myoHandPose1Fixed-v0")
-def hand_1_v0() -> PoseTask:
-    """Sign the digit 1 in American Sign Language."""
-    return sign_as_in_myosuite_3(1)
-
-
-@task("myoHandPose2Fixed-v0")
-def hand_2_v0() -> PoseTask:
-    """Sign the digit 2 in American Sign Language."""
-    return sign_as_in_myosuite_3(2)
-
-
-@task("myoHandPose3Fixed-v0")
-def hand_3_v0() -> PoseTask:
-    """Sign the digit 3 in American Sign Language."""
-    return sign_as_in_myosuite_3(3)
-
-
-@task("myoHandPose4Fixed-v0")
-def hand_4_v0() -> PoseTask:
-    """Sign the digit 4 in American Sign Language."""
-    return sign_as_in_myosuite_3(4)
-
-
-@task("myoHandPose5Fixed-v0")
-def hand_5_v0() -> PoseTask:
-    """Sign the digit 5 in American Sign Language."""
-    return sign_as_in_myosuite_3(5)
-
-
-@task("myoHandPose6Fixed-v0")
-def hand_6_v0() -> PoseTask:
-    """Sign the digit 6 in American Sign Language."""
-    return sign_as_in_myosuite_3(6)
-
-
-@task("myoHandPose7Fixed-v0")
-def hand_7_v0() -> PoseTask:
-    """Sign the digit 7 in American Sign Language."""
-    return sign_as_in_myosuite_3(7)
-
-
-@task("myoHandPose8Fixed-v0")
-def hand_8_v0() -> PoseTask:
-    """Sign the digit 8 in American Sign Language."""
-    return sign_as_in_myosuite_3(8)
-
-
-@task("myoHandPose9Fixed-v0")
-def hand_9_v0() -> PoseTask:
-    """Sign the digit 9 in American Sign Language."""
-    return sign_as_in_myosuite_3(9)
+sign("myoHandPose0Fixed-v0", 0, as_in_myosuite_3(DIGITS[0]))
+sign("myoHandPose1Fixed-v0", 1, as_in_myosuite_3(DIGITS[1]))
+sign("myoHandPose2Fixed-v0", 2, as_in_myosuite_3(DIGITS[2]))
+sign("myoHandPose3Fixed-v0", 3, as_in_myosuite_3(DIGITS[3]))
+sign("myoHandPose4Fixed-v0", 4, as_in_myosuite_3(DIGITS[4]))
+sign("myoHandPose5Fixed-v0", 5, as_in_myosuite_3(DIGITS[5]))
+sign("myoHandPose6Fixed-v0", 6, as_in_myosuite_3(DIGITS[6]))
+sign("myoHandPose7Fixed-v0", 7, as_in_myosuite_3(DIGITS[7]))
+sign("myoHandPose8Fixed-v0", 8, as_in_myosuite_3(DIGITS[8]))
+sign("myoHandPose9Fixed-v0", 9, as_in_myosuite_3(DIGITS[9]))
 
 
 @task("myoHandPoseRandom-v0")
@@ -197,64 +119,16 @@ def hand_fixed() -> PoseTask:
     return hand_pose(tuple(within))
 
 
-@task("myoHandPose0Fixed-v1", THUMB_BASE)
-def hand_0() -> PoseTask:
-    """Sign the digit 0 in American Sign Language."""
-    return sign(0)
-
-
-@task("myoHandPose1Fixed-v1", THUMB_BASE)
-def hand_1() -> PoseTask:
-    """Sign the digit 1 in American Sign Language."""
-    return sign(1)
-
-
-@task("myoHandPose2Fixed-v1", THUMB_BASE)
-def hand_2() -> PoseTask:
-    """Sign the digit 2 in American Sign Language."""
-    return sign(2)
-
-
-@task("myoHandPose3Fixed-v1", THUMB_BASE)
-def hand_3() -> PoseTask:
-    """Sign the digit 3 in American Sign Language."""
-    return sign(3)
-
-
-@task("myoHandPose4Fixed-v1", THUMB_BASE)
-def hand_4() -> PoseTask:
-    """Sign the digit 4 in American Sign Language."""
-    return sign(4)
-
-
-@task("myoHandPose5Fixed-v1", THUMB_BASE)
-def hand_5() -> PoseTask:
-    """Sign the digit 5 in American Sign Language."""
-    return sign(5)
-
-
-@task("myoHandPose6Fixed-v1", THUMB_BASE)
-def hand_6() -> PoseTask:
-    """Sign the digit 6 in American Sign Language."""
-    return sign(6)
-
-
-@task("myoHandPose7Fixed-v1", THUMB_BASE)
-def hand_7() -> PoseTask:
-    """Sign the digit 7 in American Sign Language."""
-    return sign(7)
-
-
-@task("myoHandPose8Fixed-v1", THUMB_BASE)
-def hand_8() -> PoseTask:
-    """Sign the digit 8 in American Sign Language."""
-    return sign(8)
-
-
-@task("myoHandPose9Fixed-v1", THUMB_BASE)
-def hand_9() -> PoseTask:
-    """Sign the digit 9 in American Sign Language."""
-    return sign(9)
+sign("myoHandPose0Fixed-v1", 0, DIGITS[0], THUMB_BASE)
+sign("myoHandPose1Fixed-v1", 1, DIGITS[1], THUMB_BASE)
+sign("myoHandPose2Fixed-v1", 2, DIGITS[2], THUMB_BASE)
+sign("myoHandPose3Fixed-v1", 3, DIGITS[3], THUMB_BASE)
+sign("myoHandPose4Fixed-v1", 4, DIGITS[4], THUMB_BASE)
+sign("myoHandPose5Fixed-v1", 5, DIGITS[5], THUMB_BASE)
+sign("myoHandPose6Fixed-v1", 6, DIGITS[6], THUMB_BASE)
+sign("myoHandPose7Fixed-v1", 7, DIGITS[7], THUMB_BASE)
+sign("myoHandPose8Fixed-v1", 8, DIGITS[8], THUMB_BASE)
+sign("myoHandPose9Fixed-v1", 9, DIGITS[9], THUMB_BASE)
 
 
 @task("myoHandPoseRandom-v1", THUMB_BASE)

@@ -9,6 +9,7 @@ import warp as wp
 
 from myowarp.definitions.scene import Scene
 from myowarp.engine.patch import engine_kernels_alone
+from myowarp.kernels.launch import launch
 from myowarp.sim.metabolics import LAWS, known_metabolics
 from myowarp.sim.present import present_muscles
 
@@ -121,19 +122,9 @@ class Present:
         if self._metabolics is not None:
             self._metabolics.launch()
         if "excitation" in self.names:
-            wp.launch(
-                pick_excitations,
-                dim=self.excitation.shape,
-                inputs=[self.actuator_id, data.ctrl],
-                outputs=[self.excitation],
-            )
+            launch(pick_excitations, self.excitation.shape, self, data)
         if self.names & {"site_xpos", SITES}:
-            wp.launch(
-                pick_sites,
-                dim=self.position.shape,
-                inputs=[self.site_id, data.site_xpos],
-                outputs=[self.position],
-            )
+            launch(pick_sites, self.position.shape, self, data)
 
 
 def _flat(points: wp.array) -> wp.array:

@@ -4,20 +4,26 @@ from dataclasses import replace
 
 from myowarp.definitions.task import task
 from myowarp.tasks import reach_targets
-from myowarp.tasks.pose_ids import STRONGER
+from myowarp.tasks.pose_ids import OF_MOTORS, STRONGER
 from myowarp.tasks.reach import ReachTask
 
 FINGER_FAR, HAND_FAR, HAND_FAR_FIXED_V0 = 0.35, 0.075, 0.044  # m a tip; MyoSuite 3.0.0
 
 
-def touch_point() -> ReachTask:
-    """Return the finger's task with one target."""
+@task("motorFingerReachFixed-v1", STRONGER, body="strong_motor_finger", **OF_MOTORS)
+@task("motorFingerReachFixed-v0", body="motor_finger", **OF_MOTORS)
+@task("myoFingerReachFixed-v0")
+def finger_fixed() -> ReachTask:
+    """Touch one point with the fingertip."""
     point, still = (0.2, 0.05, 0.2), (0.0, 0.0, 0.0)
     return ReachTask(body="finger", center=point, low=still, high=still, far_per_tip=FINGER_FAR)
 
 
-def touch_points() -> ReachTask:
-    """Return the finger's task with the reachable part of a box as targets."""
+@task("motorFingerReachRandom-v1", STRONGER, body="strong_motor_finger", **OF_MOTORS)
+@task("motorFingerReachRandom-v0", body="motor_finger", **OF_MOTORS)
+@task("myoFingerReachRandom-v0")
+def finger_random() -> ReachTask:
+    """Touch a point drawn anew each episode from the reachable part of a box."""
     return ReachTask(
         body="finger",
         center=(0.185, 0.0, 0.2),
@@ -26,42 +32,6 @@ def touch_points() -> ReachTask:
         far_per_tip=FINGER_FAR,
         table=reach_targets.sampled,
     )
-
-
-@task("myoFingerReachFixed-v0")
-def finger_fixed() -> ReachTask:
-    """Touch one point with the fingertip."""
-    return touch_point()
-
-
-@task("myoFingerReachRandom-v0")
-def finger_random() -> ReachTask:
-    """Touch a point drawn anew each episode from the reachable part of a box."""
-    return touch_points()
-
-
-@task("motorFingerReachFixed-v0")
-def motor_finger_fixed() -> ReachTask:
-    """Touch one point with the fingertip."""
-    return replace(touch_point(), body="motor_finger", num_substeps=5, horizon=200)
-
-
-@task("motorFingerReachRandom-v0")
-def motor_finger_random() -> ReachTask:
-    """Touch a point drawn anew each episode from the reachable part of a box."""
-    return replace(touch_points(), body="motor_finger", num_substeps=5, horizon=200)
-
-
-@task("motorFingerReachFixed-v1", STRONGER)
-def strong_motor_finger_fixed() -> ReachTask:
-    """Touch one point with the fingertip."""
-    return replace(motor_finger_fixed(), body="strong_motor_finger")
-
-
-@task("motorFingerReachRandom-v1", STRONGER)
-def strong_motor_finger_random() -> ReachTask:
-    """Touch a point drawn anew each episode from the reachable part of a box."""
-    return replace(motor_finger_random(), body="strong_motor_finger")
 
 
 HAND_CENTER = (

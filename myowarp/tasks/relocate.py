@@ -241,6 +241,9 @@ class RelocateTask(TaskSpec):
     near: ClassVar[float] = 0.1  # m, distance from the bin's middle below which the task counts as solved
     far: ClassVar[float] = 0.5  # m, distance of the palm from the object beyond which it is lost
     least_contacts: ClassVar[int] = 48  # three parts in a corner, four with each side, and a hand around them
+    sites = (PALM_SITE,)
+    loose = ("Object",)
+    start_doc = "the arm bent over the table, the object in the air just above it"
 
     body: str = "whole_arm"
     num_substeps: int = 5
@@ -286,20 +289,6 @@ class RelocateTask(TaskSpec):
     def batched(self) -> tuple[str, ...]:
         """Fields that follow from the object's parts and place."""
         return (*BATCHED, *(() if self.free else ("body_pos",))) if self.varied else ()
-
-    @property
-    def sites(self) -> tuple[str, ...]:
-        """The palm."""
-        return (PALM_SITE,)
-
-    @property
-    def loose(self) -> tuple[str, ...]:
-        """The object."""
-        return ("Object",)
-
-    @property
-    def start_doc(self) -> str:
-        return "the arm bent over the table, the object in the air just above it"
 
     @property
     def solved_when(self) -> str:

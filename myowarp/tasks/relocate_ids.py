@@ -1,7 +1,5 @@
 """The relocate ids: two phases, as MyoSuite has them (v0) and with an object that turns freely (v1)."""
 
-from dataclasses import replace
-
 from myowarp.definitions.task import task
 from myowarp.tasks.relocate import OBJECT_START, RelocateTask
 
@@ -21,12 +19,21 @@ FURTHER_BENT = (
 """Starts of phase 1 and 2 [rad, m]; MyoSuite 3.0.0."""
 
 
+FREE = (
+    "The object has a free joint, its true inertia, and the friction that was drawn, and its turn against the"
+    " bin is an angle; in v0, as in MyoSuite 3.0.0, it loses a direction of rotation where it lies on a side,"
+    " its inertia is raised to 1e-4 kg m^2, and friction below the table's has no effect."
+)
+
+
+@task("myoChallengeRelocateP1-v1", FREE, free=True)
 @task("myoChallengeRelocateP1-v0")
 def first_phase() -> RelocateTask:
     """Carry a box from the table into a bin at a random place on it."""
     return RelocateTask(goal_low=(0.0, -0.35, 0.9), goal_high=(0.2, -0.1, 0.9), start_pose=OVER_TABLE)
 
 
+@task("myoChallengeRelocateP2-v1", FREE, free=True)
 @task("myoChallengeRelocateP2-v0")
 def second_phase() -> RelocateTask:
     """Carry an object of random shape, mass, friction and place into a tilted bin at a random place."""
@@ -42,22 +49,3 @@ def second_phase() -> RelocateTask:
         friction=((0.8, 0.004, 0.00008), (1.2, 0.006, 0.00012)),
         start_pose=FURTHER_BENT,
     )
-
-
-FREE = (
-    "The object has a free joint, its true inertia, and the friction that was drawn, and its turn against the"
-    " bin is an angle; in v0, as in MyoSuite 3.0.0, it loses a direction of rotation where it lies on a side,"
-    " its inertia is raised to 1e-4 kg m^2, and friction below the table's has no effect."
-)
-
-
-@task("myoChallengeRelocateP1-v1", FREE)
-def free_first_phase() -> RelocateTask:
-    """Carry a box from the table into a bin at a random place on it."""
-    return replace(first_phase(), free=True)
-
-
-@task("myoChallengeRelocateP2-v1", FREE)
-def free_second_phase() -> RelocateTask:
-    """Carry an object of random shape, mass, friction and place into a tilted bin at a random place."""
-    return replace(second_phase(), free=True)

@@ -162,6 +162,12 @@ class ReorientTask(TaskSpec):
     far: ClassVar[float] = float(DROPPED)
     coarse_step = CoarseStep(0.005, 0.5)
     least_contacts: ClassVar[int] = 20  # boxes had 11 in 10,000 random steps
+    large = True  # objects of many kinds and parts touch the hand
+    batched = (*BATCHED_SHAPE, *BATCHED_WEIGHT)
+    carried = ("Object",)
+    start_doc = "the open hand, palm up, with the object on it"
+    solved_when = f"the cosine between axis and wanted axis exceeds {ALIGNED:g}, and the object is not lost"
+    failed_when = f"the object is lost: it is more than {DROPPED:g} m from its place on the palm"
 
     body: str = "hand"
     num_substeps: int = 5
@@ -171,36 +177,9 @@ class ReorientTask(TaskSpec):
     free: bool = False
 
     @property
-    def large(self) -> bool:
-        """Whether a step costs many times that of a hand: objects of many kinds and parts touch it."""
-        return True
-
-    @property
     def scene_key(self) -> tuple[object, ...]:
         """The kind of contact and the object's joints are compiled in."""
         return (*super().scene_key, self.condim, self.free)
-
-    @property
-    def batched(self) -> tuple[str, ...]:
-        """Fields that follow from the object's shape."""
-        return (*BATCHED_SHAPE, *BATCHED_WEIGHT)
-
-    @property
-    def carried(self) -> tuple[str, ...]:
-        """The object."""
-        return ("Object",)
-
-    @property
-    def start_doc(self) -> str:
-        return "the open hand, palm up, with the object on it"
-
-    @property
-    def solved_when(self) -> str:
-        return f"the cosine between axis and wanted axis exceeds {ALIGNED:g}, and the object is not lost"
-
-    @property
-    def failed_when(self) -> str:
-        return f"the object is lost: it is more than {DROPPED:g} m from its place on the palm"
 
     @property
     def draws(self) -> tuple[Draw, ...]:

@@ -112,20 +112,13 @@ class StandTask(ReachTask):
     shown: ClassVar[Shown | None] = Shown(
         "Random actions: legs fall.", "myoLegStandRandom-v0", "random", 60, 4
     )
+    large = False  # legs that stand are tried every day, for all legs
+    start_doc = "standing with slightly bent knees"
 
     horizon: int = 150
     physics_dt: float = 0.001
     offset: float
     num_joints: int
-
-    @property
-    def large(self) -> bool:
-        """Not the test's: legs that stand are tried every day, for all legs."""
-        return False
-
-    @property
-    def start_doc(self) -> str:
-        return "standing with slightly bent knees"
 
     @property
     def draws(self) -> tuple[Draw, ...]:

@@ -146,6 +146,9 @@ class TerrainTask(WalkTask):
         "solved": keeps_up,
     }
     least_contacts: ClassVar[int] = 40  # of legs that lie on an edge; the motion from the start shows 8
+    failed_when = (
+        f"{WalkTask.failed_when}, or the center of mass is within {LEAST_RISE:g} m of the ankles' height"
+    )
 
     speed: tuple[float, float] = (1.2, 1.2)
     start_pose: tuple[float, ...] = STEPPING_POSE
@@ -165,12 +168,6 @@ class TerrainTask(WalkTask):
     @property
     def scene_key(self) -> tuple[object, ...]:
         return (*super().scene_key, self.terrain)
-
-    @property
-    def failed_when(self) -> str:
-        return (
-            f"{super().failed_when}, or the center of mass is within {LEAST_RISE:g} m of the ankles' height"
-        )
 
     @property
     def draws(self) -> tuple[Draw, ...]:

@@ -258,6 +258,12 @@ class WalkTask(TaskSpec):
         "solved": keeps_up,
     }
     linear_excitation: ClassVar[bool] = True
+    start_doc = "in the middle of a step, at 1.5 m/s"
+    solved_when = f"the center of mass is within {VELOCITY_NEAR:g} m/s of the commanded speed, ahead"
+    failed_when = (
+        f"the center of mass is below {LEAST_HEIGHT:g} m, or the x axis of the root has a part beyond "
+        f"{MOST_TURN:g} along that of the world"
+    )
 
     body: str = "legs"
     num_substeps: int = 10
@@ -265,21 +271,6 @@ class WalkTask(TaskSpec):
     physics_dt: float = 0.001
     speed: tuple[float, float]
     start_velocity: tuple[float, ...]
-
-    @property
-    def start_doc(self) -> str:
-        return "in the middle of a step, at 1.5 m/s"
-
-    @property
-    def solved_when(self) -> str:
-        return f"the center of mass is within {VELOCITY_NEAR:g} m/s of the commanded speed, ahead"
-
-    @property
-    def failed_when(self) -> str:
-        return (
-            f"the center of mass is below {LEAST_HEIGHT:g} m, or the x axis of the root has a part beyond "
-            f"{MOST_TURN:g} along that of the world"
-        )
 
     @property
     def draws(self) -> tuple[Draw, ...]:

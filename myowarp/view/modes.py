@@ -5,7 +5,7 @@ import os
 import platform
 
 from myowarp.definitions.registry import check_choice
-from myowarp.extras import to_install
+from myowarp.extras import check_installed
 
 
 def has_display() -> bool:
@@ -32,8 +32,7 @@ def render_modes() -> tuple[str, ...]:
 
 def check_viser(what: str) -> None:
     """Raise ImportError if the package that draws pages is not installed."""
-    if importlib.util.find_spec("viser") is None:
-        raise ImportError(f"{what} needs viser, which is not installed; run {to_install('view')}")
+    check_installed(what, "viser", "view")
 
 
 def check_render_mode(mode: str | None) -> None:

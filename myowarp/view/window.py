@@ -56,11 +56,6 @@ class Window:
         with self._viewer.lock():
             draw_bones_alone(self._viewer.opt)
 
-    @property
-    def running(self) -> bool:
-        """False once the window was closed."""
-        return self._viewer.is_running()
-
     def show(self, seen: Snapshot) -> None:
         """Show a moment of a world; nothing happens once the window was closed.
 

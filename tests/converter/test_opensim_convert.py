@@ -9,13 +9,13 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from opensim_muscles import read_muscles
 
 pytest.importorskip("scipy")
 
 from myowarp.apps.cli.convert import Convert
 from myowarp.osim.body.hill_muscle import HillMuscle
 from myowarp.osim.convert import run as command
-from myowarp.osim.convert.muscle_table import read_muscles
 from myowarp.osim.convert.report.charts import Line, chart, colors, png
 from myowarp.osim.convert.tendon import fits as muscle_fit
 from myowarp.osim.document.read.model import read_model

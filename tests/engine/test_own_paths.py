@@ -10,7 +10,7 @@ import pytest
 from myowarp.coordinates.step import step_of
 from myowarp.definitions.body import BODIES
 from myowarp.laws.paths.tables import TURNS, OsimPath, OsimPaths, Over, Via, WrapSurface
-from myowarp.models.bodies.from_file import read_body
+from myowarp.models.bodies.from_file import register_body
 from myowarp.osim.body.on_device import lengths_and_moment_arms
 from myowarp.osim.bundle.mjcf import mjcf
 from myowarp.osim.bundle.paths import DocumentPaths
@@ -154,7 +154,7 @@ def test_errors_of_a_text_are_one_sentence(text, message, tmp_path):
     path.write_text(MJCF.format(more=""))
     (tmp_path / "paths.json").write_text(text)
     with pytest.raises(ValueError, match=f"paths.json' must belong to model.xml: .*{message}"):
-        read_body(path)
+        register_body(path)
 
 
 def test_a_wrapping_tendon_needs_a_path_and_one_of_sites_does_not(tmp_path):
@@ -180,13 +180,13 @@ def test_a_wrapping_tendon_needs_a_path_and_one_of_sites_does_not(tmp_path):
     wrapping = '<spatial name="u"><site site="a"/><geom geom="g"/><site site="c"/></spatial>'
     path.write_text(MJCF.format(more=wrapping).replace("<geom size", '<geom name="g" size'))
     with pytest.raises(ValueError, match="must name tendon 'u', which wraps; they do not"):
-        read_body(path)
+        register_body(path)
 
 
 def test_a_text_reads_back_as_written(tmp_path):
     converted, path = written(tmp_path, "gait10dof18musc")
     assert DocumentPaths.read(converted.paths.as_json()) == converted.paths
-    said = DocumentPaths.of(BODIES[read_body(path)].build().compile())
+    said = DocumentPaths.of(BODIES[register_body(path)[0]].build().compile())
     assert said == converted.paths
     assert DocumentPaths.NAME == "paths"
     assert Path(tmp_path / "paths.json").is_file()

@@ -349,7 +349,7 @@ def test_bad_arguments(nothing_built, options, message):
 
 
 def test_without_pandas(monkeypatch):
-    monkeypatch.setattr(plan.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(
         ImportError,
         match=rf"^a cohort needs pandas, which is not installed; run {re.escape(to_install('cohort'))}$",

@@ -152,7 +152,8 @@ def test_options_that_an_experiment_does_not_read_are_refused(name, tmp_path):
 def test_what_is_not_installed_is_named(package, monkeypatch, tmp_path):
     find = importlib.util.find_spec
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == package else find(name))
-    with pytest.raises(ImportError, match=f"reproduce needs {package}; run {re.escape(to_install('plot'))}"):
+    said = f"reproduce needs {package}, which is not installed; run {to_install('plot')}"
+    with pytest.raises(ImportError, match=re.escape(said)):
         Reproduce(Said(Setup()), name="speed", output=tmp_path / "out")()
     assert not (tmp_path / "out").exists()
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from host_least_squares import bounded_least_squares
 from scipy import optimize
 
-from myowarp.kernels.bounded_least_squares import bounded_least_squares
 from myowarp.motion import static_optimization
 from myowarp.motion.dual_newton import TOLERANCE
 from myowarp.motion.static_optimization import optimal_activations

@@ -12,7 +12,7 @@ from muscle_bench import hold
 import myowarp
 from myowarp.coordinates.step import step_of
 from myowarp.definitions.body import BODIES
-from myowarp.models.bodies.from_file import read_body
+from myowarp.models.bodies.from_file import register_body
 from myowarp.osim.body.hill_muscle import HillMuscle, known
 from myowarp.osim.convert.load import load
 from myowarp.osim.document.read import model as reading
@@ -145,7 +145,7 @@ def test_a_range_that_runs_backwards_is_one_sentence(tmp_path):
     path.write_text(re.sub(r"<range>\s*-1\s+-1\s*</range>", "<range>3 1</range>", text, count=1))
     message = r"back.osim:\d+: <PathWrap name='TRIlong.*'> has a range from point 3 back to 1, .*; swap them$"
     with pytest.raises(ValueError, match=message):
-        read_body(path)
+        register_body(path)
 
 
 def test_a_muscle_out_of_bounds_changes_itself_alone(tmp_path, caplog):
@@ -233,7 +233,7 @@ def test_a_joint_that_nobody_knows_is_one_sentence(tmp_path):
     path = tmp_path / "odd.osim"
     path.write_text((OSIM / "arm26.osim").read_text().replace("CustomJoint", "OddJoint"))
     with pytest.raises(ValueError, match="OddJoint") as caught:
-        read_body(path)
+        register_body(path)
     assert "\n" not in str(caught.value)
 
 

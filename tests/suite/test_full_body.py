@@ -9,7 +9,7 @@ from stepping import repeated_step
 
 from myowarp.definitions.body import BODIES
 from myowarp.definitions.setup import Setup
-from myowarp.models.bodies.from_file import read_body
+from myowarp.models.bodies.from_file import register_body
 from myowarp.sim import memory
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.from_file import from_mjcf
@@ -29,7 +29,7 @@ def simulation(num_worlds, **options):
 
 def test_a_body_stands_for_a_file():
     """By its name, with its own facts; a task may steer other sites than the body's."""
-    assert read_body(Path("elbow")) == "elbow"
+    assert register_body(Path("elbow"))[0] == "elbow"
     task = from_mjcf("elbow", "elbowByName-v0", replace=True)
     assert task.body == "elbow"
     assert (task.physics_dt, len(task.target_low)) == (BODIES["elbow"].build().option.timestep, 1)
@@ -42,14 +42,14 @@ def test_a_file_of_that_name_comes_first(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("elbow").write_text("no model")
     with pytest.raises(ValueError, match="must be an MJCF file"):
-        read_body(Path("elbow"))
+        register_body(Path("elbow"))
 
 
 def test_what_is_neither_file_nor_body():
     with pytest.raises(
         ValueError, match=r"must be an MJCF file; MuJoCo says: .*; bodies are arm, .*full_body"
     ):
-        read_body(Path("ful_body"))
+        register_body(Path("ful_body"))
 
 
 def test_left_and_right_are_twins():

@@ -14,7 +14,7 @@ from converted import muscled
 from hill_64 import Hill64, velocity_64
 from muscle_bench import PROTOCOLS, hold, trajectory
 from often import covering, often
-from opensim_muscles import DATA, load
+from opensim_muscles import DATA, load, read_muscles, write_muscles
 
 import myowarp
 from myowarp.definitions.muscle import MUSCLES
@@ -30,7 +30,6 @@ from myowarp.models.muscles.hill import Hill
 from myowarp.models.muscles.hill_native import native_contract_hill
 from myowarp.osim.body.hill_muscle import HillMuscle
 from myowarp.osim.body.spline_tables import SPLINES
-from myowarp.osim.convert.muscle_table import read_muscles, write_muscles
 from myowarp.osim.document.read.muscle_defaults import DEFAULTS
 from myowarp.sim.build import compile_scene, oracle_model
 

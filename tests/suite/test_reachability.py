@@ -5,9 +5,10 @@ import mujoco.minimize
 import numpy as np
 import pytest
 from often import often
+from solve_reach_targets import reachable_targets
 
 from myowarp.definitions.body import BODIES
-from myowarp.models.reachability import reachable, reachable_targets
+from myowarp.models.reachability import reachable
 from myowarp.tasks.reach_ids import HAND_CENTER, HAND_HIGH, HAND_LOW
 
 FOUND = 1e-3  # m; a thousandth of the miss of a wrong chain, ten times what the iterations leave

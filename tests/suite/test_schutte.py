@@ -7,6 +7,7 @@ import pytest
 import warp as wp
 from converted import muscled
 from hill_64 import Hill64, velocity_64
+from opensim_muscles import read_muscles, write_muscles
 
 import myowarp
 from myowarp.laws.muscles.hill_law import SCHUTTE
@@ -14,7 +15,6 @@ from myowarp.laws.muscles.hill_parameters import hill_parameters
 from myowarp.osim.body.hill_curves import SplineCurves
 from myowarp.osim.body.hill_muscle import HillMuscle
 from myowarp.osim.body.spline_tables import SPLINES
-from myowarp.osim.convert.muscle_table import read_muscles, write_muscles
 from myowarp.osim.document.read.muscle_defaults import DEFAULTS
 from myowarp.sim.build import compile_scene
 

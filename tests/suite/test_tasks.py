@@ -14,14 +14,15 @@ import myowarp.tasks
 from myowarp.definitions.body import BODIES, CAUTIOUS_STEP, CoarseStep
 from myowarp.definitions.task import TASKS, task
 from myowarp.kernels.world_function import Row, num_numbers
-from myowarp.models.bodies.from_file import read_body
+from myowarp.models.bodies.from_file import register_body
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.pose import PoseTask, sample_configuration
 from myowarp.tasks.reach import ReachTask
 
 FILES = Path(myowarp.tasks.__file__).parent.glob("*.py")
 IDS = {key for key in TASKS if TASKS[key].name not in BODIES}  # before tests add some
-WRITTEN = [key for path in FILES for key in re.findall(r'^@task\("([^"]+)"', path.read_text(), re.MULTILINE)]
+CALL = re.compile(r'^(?:@task|sign)\("([^"]+)"', re.MULTILINE)
+WRITTEN = [key for path in FILES for key in CALL.findall(path.read_text())]
 SCENES = sorted({TASKS[key].scene_key: key for key in WRITTEN}.values())
 NUM_WORLDS = 7
 VALUE_TOLERANCE = 1e-6  # float32
@@ -52,11 +53,11 @@ def trunk(tmp_path_factory):
     """Return the name of a body with a free root, a ball joint, a hinge with a range and one without."""
     path = tmp_path_factory.mktemp("bodies") / "free_root.xml"
     path.write_text(FREE_ROOT)
-    return read_body(path, tips=("foot",))
+    return register_body(path, tips=("foot",))[0]
 
 
 def test_every_id_is_written_in_full():
-    """`grep` finds the one function that stands for an id."""
+    """`grep` finds the one line that registers an id."""
     assert len(WRITTEN) == len(set(WRITTEN))
     assert set(WRITTEN) == IDS
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,7 +12,7 @@ from rich.console import Console
 
 from myowarp.apps.cli.options import Asked, Overwrite, environment, optional
 from myowarp.definitions.registry import check_least
-from myowarp.extras import to_install
+from myowarp.extras import check_installed
 
 if TYPE_CHECKING:
     from myowarp.definitions.setup import Setup
@@ -86,8 +85,7 @@ class Plot:
         from myowarp.apps.reports import panel
         from myowarp.disk import check_folder, check_output, check_overwrite, make_folder
 
-        if importlib.util.find_spec("matplotlib") is None:
-            raise ImportError(f"plot needs matplotlib, which is not installed; run {to_install('plot')}")
+        check_installed("plot", "matplotlib", "plot")
         self._check_motion()
         self._check_sources()
         check_folder(self.output.parent)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ from rich.table import Column
 
 from myowarp.apps.cli.options import Environment, Overwrite, Policy, optional
 from myowarp.definitions.registry import check_least
-from myowarp.extras import to_install
+from myowarp.extras import check_installed
 
 if TYPE_CHECKING:
     from myowarp.apps.reports.walk_measures import Measured
@@ -66,8 +65,7 @@ class Score:
         from myowarp.apps.reports.walk_score import as_dict, score, write_json
         from myowarp.disk import check_folder, check_overwrite, make_folder
 
-        if importlib.util.find_spec("matplotlib") is None:
-            raise ImportError(f"score needs matplotlib, which is not installed; run {to_install('plot')}")
+        check_installed("score", "matplotlib", "plot")
         check_least(1, num_worlds=self.num_worlds)
         if self.push is not None and not 0.0 < self.push < float("inf"):
             raise ValueError(f"--push must be positive and finite, got {self.push:g}")

@@ -24,8 +24,7 @@ from myowarp.definitions.registry import check_choice
 from myowarp.inks import INKS
 from myowarp.motion.gait import side_of
 from myowarp.motion.storage import Storage, read_storage
-from myowarp.osim.document.read.groups import read_groups
-from myowarp.osim.document.read.model import read_model
+from myowarp.osim.document.read.model import read_groups, read_model
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -151,9 +151,7 @@ def band(
     axes.plot(x, middle, form, color=color, **line)
 
 
-def bars(
-    axes: Axes, places: ArrayLike, values: np.ndarray, width: float, dots: str | None = None, **bar: Any
-) -> None:
+def bars(axes: Axes, places: ArrayLike, values: np.ndarray, width: float, **bar: Any) -> None:
     """Draw the mean over seeds as bars and every seed as a dot.
 
     Args:
@@ -161,8 +159,7 @@ def bars(
         places: Middles of the bars, shape (n,).
         values: Of seeds, shape (seeds, n).
         width: Of a bar.
-        dots: Label of the dots.
         bar: What else `Axes.bar` takes.
     """
     axes.bar(places, values.mean(axis=0), width, **bar)
-    axes.plot(np.tile(places, len(values)), values.ravel(), "k.", markersize=4, label=dots)
+    axes.plot(np.tile(places, len(values)), values.ravel(), "k.", markersize=4)

@@ -100,12 +100,12 @@ class Reference:
         return among.get(name, among.get(side_of(name)[0]))
 
 
-def as_reference(walk: Measured, sources: Sequence[str] = ()) -> Reference:
+def as_reference(walk: Measured) -> Reference:
     """Return walks as what others are compared with."""
     muscles = {name: rows for name, rows in walk.curves.items() if side_of(name)[0] in MUSCLES}
     return Reference(
         walk.name,
-        sources or (walk.name,),
+        (walk.name,),
         {
             name: np.array([rows.mean(axis=0), rows.std(axis=0)])
             for name, rows in walk.curves.items()

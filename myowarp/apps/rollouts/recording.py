@@ -43,6 +43,7 @@ from myowarp.apps.rollouts.recording_formats import (
     open_storage,
 )
 from myowarp.apps.rollouts.run import Step, Watcher
+from myowarp.definitions.registry import is_integer
 from myowarp.disk import check_output
 from myowarp.extras import to_install
 from myowarp.sim.signals import JOINT_UNITS, UNITS, Signals
@@ -106,7 +107,7 @@ def recording(
         ImportError: Tables without pyarrow.
     """
     check_recording(path, sim.scene.num_worlds)
-    if isinstance(every, bool) or not isinstance(every, (int, np.integer)) or every < 1:
+    if not is_integer(every) or every < 1:
         raise ValueError(f"every must be a positive number of control steps, got {every!r}")
     signals = signals or Signals(sim)
     with FORMATS[path.suffix.lower()](path, signals) as write:

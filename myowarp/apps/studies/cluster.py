@@ -6,7 +6,6 @@ Ray starts a piece again where its worker or its node died. The result of a piec
 
 from __future__ import annotations
 
-import importlib.util
 import logging
 import os
 import socket
@@ -17,7 +16,6 @@ from typing import Any
 
 from myowarp.apps.policies.checkpoint import versions
 from myowarp.disk import sentence
-from myowarp.extras import to_install
 from myowarp.process import CORES, num_cores
 
 logger = logging.getLogger("myowarp")
@@ -26,12 +24,6 @@ RETRIES = 10  # of a piece whose worker or node died
 PATIENCE = 60.0  # s that a node has to answer
 REACH = 5.0  # s that a cluster has to accept a connection
 LOOK = 0.5  # s between two looks at what is done
-
-
-def check_ray(what: str) -> None:
-    """Raise ImportError if Ray is not installed; `what` needs it."""
-    if importlib.util.find_spec("ray") is None:
-        raise ImportError(f"{what} needs ray, which is not installed; run {to_install('ray')}")
 
 
 @contextmanager

@@ -31,10 +31,11 @@ from rich.console import Console
 from myowarp.apps.policies.checkpoint import versions
 from myowarp.apps.policies.reflex import SCALES, Delays, Gait, ReflexControl, gait_of, unscaled
 from myowarp.apps.rollouts.run import Step, stepped
+from myowarp.apps.studies.parts import check_settings
 from myowarp.definitions.body import POINT_JOINTS
 from myowarp.definitions.setup import DEFAULTS, Setup
 from myowarp.disk import in_place, make_folder
-from myowarp.extras import to_install
+from myowarp.extras import check_installed
 from myowarp.laws.metabolics import BASAL_RATE
 from myowarp.progress import progress_bar
 from myowarp.sim.build import resolve_device
@@ -224,11 +225,9 @@ def search(plan: Search, output: Path, generations: int, console: Console) -> Ga
         ValueError: The folder holds another search, or the body has no two legs.
         OSError: The folder cannot be written.
     """
-    try:
-        import cma
-    except ImportError:
-        hint = to_install("gait")
-        raise ImportError(f"searching a gait needs cma, which is not installed; run {hint}") from None
+    check_installed("searching a gait", "cma", "gait")
+    import cma
+
     make_folder(output)
     settings = plan.plain()
     solutions, costs = _read(output, settings)
@@ -283,12 +282,8 @@ def _read(output: Path, settings: dict[str, Any]) -> tuple[list[np.ndarray], lis
     if not (output / SEARCH).exists():
         return [], []
     recorded = json.loads((output / SETTINGS).read_text())
-    for name in settings.keys() | recorded.keys():
-        if recorded.get(name) != json.loads(json.dumps(settings.get(name))):
-            raise ValueError(
-                f"folder {str(output)!r} holds a search of other settings ({name} is {recorded.get(name)!r} "
-                f"there and {settings.get(name)!r} here); choose another --output"
-            )
+    wanted = json.loads(json.dumps(settings))
+    check_settings(f"folder {str(output)!r} holds a search of", recorded, wanted)
     with np.load(output / SEARCH) as arrays:
         return list(arrays["solutions"]), list(arrays["costs"])
 

@@ -47,14 +47,28 @@ def agree(output: Path, what: str, settings: Mapping[str, Any]) -> None:
                 f"folder {str(output)!r} holds a {what} whose {SETTINGS} is damaged or missing ({error}); "
                 "choose another --output"
             ) from error
-        for name in wanted.keys() | recorded.keys():
-            if recorded.get(name) != wanted.get(name):
-                raise ValueError(
-                    f"folder {str(output)!r} holds a {what} of other settings ({name} is "
-                    f"{recorded.get(name)!r} there and {wanted.get(name)!r} here); choose another --output"
-                )
+        check_settings(f"folder {str(output)!r} holds a {what} of", recorded, wanted)
     with in_place(path) as scratch:
         scratch.write_text(json.dumps(wanted, indent=1) + "\n")
+
+
+def check_settings(
+    what: str, there: Mapping[str, Any], here: Mapping[str, Any], remedy: str = "choose another --output"
+) -> None:
+    """Raise ValueError if results depend on other settings than those wanted.
+
+    Args:
+        what: Of what, for the message, up to "other settings".
+        there: Settings of the results, read from JSON.
+        here: Those wanted, as JSON holds them.
+        remedy: What the user can do.
+    """
+    for name in sorted(there.keys() | here.keys()):
+        if there.get(name) != here.get(name):
+            raise ValueError(
+                f"{what} other settings ({name} is {there.get(name)!r} there and {here.get(name)!r} here); "
+                f"{remedy}"
+            )
 
 
 def remove_damaged(output: Path, keys: Iterable[Mapping[str, Sequence[Any]]]) -> int:

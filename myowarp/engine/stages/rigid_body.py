@@ -263,17 +263,11 @@ class RigidBody(Stage):
         ours = {place for stage in stages for place in stage.replaces}
         remaining = self._stepped.remaining if ours >= READERS else None
         paths = next((stage.paths for stage in stages if isinstance(stage, MusclePath)), None)
-        if paths is None:
-            return partial(self._launch, mask=mask, sites=self._all_sites, dynamics=True, remaining=remaining)
-        self._scratch = block_scratch(paths.scratch.device, *self._arrays, *paths.arrays)
-        return partial(
-            self._launch,
-            mask=mask,
-            sites=self._no_sites,
-            dynamics=True,
-            paths=paths,
-            remaining=remaining,
-        )
+        if paths is not None:
+            self._scratch = block_scratch(paths.scratch.device, *self._arrays, *paths.arrays)
+        sites = self._no_sites if paths else self._all_sites
+        known = {"mask": mask, "sites": sites, "paths": paths, "remaining": remaining}
+        return partial(self._launch, dynamics=True, **known)
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Compute all that follows from positions and velocities."""

@@ -26,38 +26,29 @@ OPENSIM = ".osim"
 STEPPED = ("EULER", "IMPLICITFAST")  # integrators; others call the muscles more than once in a step
 
 
-def read_body(path: Path, tips: tuple[str, ...] = (), stops: bool = True) -> str:
+def register_body(
+    path: Path,
+    tips: tuple[str, ...] = (),
+    stops: bool = True,
+    function_paths: Path | None = None,
+    contact: str = "mujoco",
+) -> tuple[str, mujoco.MjModel]:
     """Register the model of a file as a body, once; motors without a control range get -1 to 1.
 
     Args:
         path: MJCF, or a model of OpenSim (.osim); or the name of a body that is registered.
         tips: Names of the sites that tasks show or steer.
         stops: Whether ranges stop joints; a line says which holds in a model of OpenSim, whose own stop none.
+        function_paths: As for `load.load`.
+        contact: "opensim" has the model's contact forces of OpenSim act in place of MuJoCo's contact.
 
     Returns:
         Name in `BODIES`; that of a file holds a digest of the compiled model, meshes and includes included,
-        because compiled scenes are kept by name.
+        because compiled scenes are kept by name. And the model.
 
     Raises:
-        ValueError: The file is no model that MuJoCo reads, or has actuators that we cannot step; or a body of
-            the package is to have no stops.
-    """
-    return register_body(path, tips, stops)[0]
-
-
-def register_body(
-    path: Path,
-    tips: tuple[str, ...],
-    stops: bool,
-    function_paths: Path | None = None,
-    contact: str = "mujoco",
-) -> tuple[str, mujoco.MjModel]:
-    """Return the name of a body, which is registered, and its model; see `read_body` and `load.load`.
-
-    `contact` "opensim" has the model's contact forces of OpenSim act in place of MuJoCo's contact.
-
-    Raises:
-        ValueError: As `read_body`; or OpenSim's contact is asked for, and the model brings none.
+        ValueError: The file is no model that MuJoCo reads, or has actuators that we cannot step; a body of
+            the package is to have no stops; or OpenSim's contact is asked for, and the model brings none.
     """
     if function_paths is not None and path.suffix.lower() != OPENSIM:
         raise ValueError(f"function_paths are an option of an .osim file; {str(path)!r} is none")

@@ -18,6 +18,7 @@ import warp as wp
 
 from myowarp.definitions.parameter import Clock, Curve, Parameter, Value, value_of
 from myowarp.kernels.body_mass import MASS_FIELDS, WeighedBody, set_body_mass, weighed_body
+from myowarp.kernels.launch import launch
 
 if TYPE_CHECKING:
     from myowarp.definitions.scene import Scene
@@ -128,16 +129,7 @@ class HungMass:
         self.scene, self.clock, self.mass = scene, clock, mass
         self.body, self.unit_inertia = body, unit_inertia
 
-    def sample(self, renew: wp.array) -> None:
-        """Draw masses in the worlds of `renew` (num_worlds,) bool."""
-        self.mass.sample(self.scene.keys, renew)
-
     def launch(self) -> None:
         """Launch `hang_mass`."""
         model = self.scene.model
-        wp.launch(
-            hang_mass,
-            dim=self.scene.num_worlds,
-            inputs=[self.body, self.unit_inertia, self.mass.curve, self.clock],
-            outputs=[model.body_mass, model.body_subtreemass, model.body_inertia],
-        )
+        launch(hang_mass, self.scene.num_worlds, self, self.mass, model)

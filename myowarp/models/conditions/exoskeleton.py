@@ -25,6 +25,7 @@ from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Phase
 from myowarp.definitions.muscle import BiasParams
 from myowarp.definitions.parameter import Clock, Curve, Parameter, Value, value_of
 from myowarp.definitions.task import RewardTerm
+from myowarp.kernels.launch import launch
 from myowarp.kernels.reset import masked_fill
 from myowarp.kernels.write import is_finite
 from myowarp.models.conditions.added_mass import BATCHED, AddedMass, HungMass, Part
@@ -63,6 +64,7 @@ class Exoskeleton(Condition):
     NEUTRAL: ClassVar = {"assistance": 0.0, "forearm_mass": 0.0}
     TITLE = "exoskeleton at the elbow"
     LABELS: ClassVar = {"assistance": "share of muscles"}
+    batched = BATCHED  # the muscles have their bias per world already
 
     assistance: Value = 0.5
     motor: bool = False
@@ -82,11 +84,6 @@ class Exoskeleton(Condition):
     def scene_key(self) -> tuple[object, ...]:
         """The actuator: none is like another."""
         return (NAME, self.motor, self.max_torque if self.motor else None)
-
-    @property
-    def batched(self) -> tuple[str, ...]:
-        """Mass and inertia; the muscles have their bias per world already."""
-        return BATCHED
 
     @property
     def undriven(self) -> tuple[str, ...]:
@@ -141,14 +138,10 @@ class ExoskeletonEffect(Effect):
     """
 
     def __init__(self, scene: Scene, cuff: HungMass) -> None:
-        self.scene, self.cuff = scene, cuff
+        self.scene, self.cuff, self.drawn = scene, cuff, (cuff.mass,)
         self.exo = scene.oracle.actuator(NAME).id
         self.torque = scene.zeros("condition.exoskeleton.torque")
         self.info = {"exo_torque": self.torque}
-
-    def sample(self, renew: wp.array) -> None:
-        """Draw masses."""
-        self.cuff.sample(renew)
 
     def reset(self, mask: wp.array) -> None:
         """Show no torque."""
@@ -205,34 +198,13 @@ class AssistEffect(ExoskeletonEffect):
 
     def __init__(self, scene: Scene, cuff: HungMass, clock: Clock, assistance: Parameter) -> None:
         super().__init__(scene, cuff)
-        self.clock, self.assistance = clock, assistance
+        self.clock, self.assistance, self.drawn = clock, assistance, (*self.drawn, assistance)
         self.muscle_actuators = wp.array(scene.muscles.actuator_id, dtype=int)
-
-    def sample(self, renew: wp.array) -> None:
-        """Draw masses and assistance."""
-        super().sample(renew)
-        self.assistance.sample(self.scene.keys, renew)
 
     def act_in_substep(self) -> None:
         """Launch `assist`."""
         data, model, muscles = self.scene.data, self.scene.model, self.scene.muscles
-        wp.launch(
-            assist,
-            dim=self.scene.num_worlds,
-            inputs=[
-                self.exo,
-                self.muscle_actuators,
-                self.assistance.curve,
-                data.moment_rownnz,
-                data.moment_rowadr,
-                data.actuator_moment,
-                data.actuator_velocity,
-                muscles.tension,
-                muscles.damping,
-                self.clock,
-            ],
-            outputs=[self.torque, model.actuator_biasprm],
-        )
+        launch(assist, self.scene.num_worlds, self, self.assistance, data, muscles, model)
 
 
 @wp.kernel(enable_backward=False)
@@ -265,12 +237,7 @@ class MotorEffect(ExoskeletonEffect):
 
     def score(self, terms: wp.array, column: int) -> None:
         """Launch `score_motor`."""
-        wp.launch(
-            score_motor,
-            dim=self.scene.num_worlds,
-            inputs=[self.exo, self.max_torque, self.scene.data.ctrl, column],
-            outputs=[self.torque, terms],
-        )
+        launch(score_motor, self.scene.num_worlds, self, self.scene.data, column=column, terms=terms)
 
 
 CONDITIONS.add("exoskeleton", Exoskeleton)

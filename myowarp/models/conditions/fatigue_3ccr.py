@@ -44,6 +44,7 @@ from myowarp.definitions.parameter import (
 from myowarp.definitions.task import Column
 from myowarp.kernels.accumulate import add_compensated
 from myowarp.kernels.batching import of_world
+from myowarp.kernels.launch import launch
 from myowarp.kernels.observe import masked_observe
 from myowarp.kernels.random import RandomKeys, open_stream
 
@@ -302,6 +303,7 @@ class Fatigue3CCREffect(Effect):
         self, condition: Fatigue3CCR, scene: Scene, clock: Clock, parameters: Mapping[str, Parameter]
     ) -> None:
         self.scene, self.clock, self.parameters = scene, clock, parameters
+        self.drawn = parameters.values()
         self.initial_random = bool(condition.initial_random)
         self.carry_over = bool(condition.carry_over)
         muscles = scene.muscles
@@ -320,28 +322,13 @@ class Fatigue3CCREffect(Effect):
                 Column("fatigue", len(muscles.names), "1", "fatigued fraction of each muscle", muscles.names),
             )
 
-    def sample(self, renew: wp.array) -> None:
-        """Draw parameters."""
-        for parameter in self.parameters.values():
-            parameter.sample(self.scene.keys, renew)
-
     def reset(self, mask: wp.array) -> None:
         """Launch `restart_motor_units`."""
-        wp.launch(
-            restart_motor_units,
-            dim=self.scene.num_worlds,
-            inputs=[self.params, self.initial_random, self.carry_over, self.clock, self.scene.keys, mask],
-            outputs=[self.state],
-        )
+        launch(restart_motor_units, self.scene.num_worlds, self, self.scene, mask=mask)
 
     def act(self) -> None:
         """Launch `tire_motor_units`."""
-        wp.launch(
-            tire_motor_units,
-            dim=self.state.active_fraction.shape,
-            inputs=[self.params, self.clock],
-            outputs=[self.scene.data.ctrl, self.state],
-        )
+        launch(tire_motor_units, self.state.active_fraction.shape, self, self.scene.data)
 
     def observe(self, mask: wp.array, obs: wp.array, column: int) -> None:
         """Write the fatigued fractions."""

@@ -25,6 +25,7 @@ from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Phase
 from myowarp.definitions.parameter import Clock, Curve, Parameter, Value, value_of
 from myowarp.definitions.task import Column
 from myowarp.kernels.accumulate import add_compensated
+from myowarp.kernels.launch import launch
 from myowarp.kernels.observe import masked_observe
 from myowarp.kernels.random import RandomKeys
 
@@ -155,6 +156,7 @@ class FatigueMa2009Effect(Effect):
         self, condition: FatigueMa2009, scene: Scene, clock: Clock, rate: Parameter, initial: Parameter
     ) -> None:
         self.scene, self.clock, self.rate, self.initial = scene, clock, rate, initial
+        self.drawn = rate, initial
         self.carry_over = bool(condition.carry_over)
         muscles = scene.muscles
         self.state = Exhaustion()
@@ -173,30 +175,16 @@ class FatigueMa2009Effect(Effect):
                 ),
             )
 
-    def sample(self, renew: wp.array) -> None:
-        """Draw rates and initial fatigue."""
-        self.rate.sample(self.scene.keys, renew)
-        self.initial.sample(self.scene.keys, renew)
-
     def reset(self, mask: wp.array) -> None:
         """Launch `restart_exhaustion`."""
-        workload = self.scene.muscles.workload
-        wp.launch(
-            restart_exhaustion,
-            dim=workload.shape,
-            inputs=[self.initial.curve, self.carry_over, self.clock, self.scene.keys, mask],
-            outputs=[self.state, workload],
-        )
+        scene, initial = self.scene, self.initial.curve
+        dim = scene.muscles.workload.shape
+        launch(restart_exhaustion, dim, self, scene, scene.muscles, initial_curve=initial, mask=mask)
 
     def act(self) -> None:
         """Launch `exhaust`."""
         muscles = self.scene.muscles
-        wp.launch(
-            exhaust,
-            dim=muscles.workload.shape,
-            inputs=[self.rate.curve, self.clock],
-            outputs=[self.state, muscles.workload, muscles.anatomy.strength],
-        )
+        launch(exhaust, muscles.workload.shape, self, muscles, muscles.anatomy, rate_curve=self.rate.curve)
 
     def observe(self, mask: wp.array, obs: wp.array, column: int) -> None:
         """Write the share of the peak force that is lost."""

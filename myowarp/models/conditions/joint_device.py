@@ -28,6 +28,7 @@ from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Phase
 from myowarp.definitions.muscle import BiasParams
 from myowarp.definitions.parameter import Clock, Curve, Parameter, Value, value_of
 from myowarp.definitions.registry import check_choice
+from myowarp.kernels.launch import launch
 from myowarp.kernels.reset import masked_fill
 from myowarp.kernels.write import is_finite
 from myowarp.models.conditions.added_mass import BATCHED, AddedMass, HungMass, Part
@@ -69,6 +70,7 @@ class JointDevice(Condition):
     NEUTRAL: ClassVar = {"stiffness": 0.0, "assistance": 0.0, "peak": 0.0, "mass": 0.0}
     TITLE = "device at a joint"
     LABELS: ClassVar = {"stiffness": "spring", "assistance": "share of muscles", "peak": "motor"}
+    batched = BATCHED
 
     joint: str = ""
     stiffness: Value = 5.0
@@ -134,11 +136,6 @@ class JointDevice(Condition):
     def scene_key(self) -> tuple[object, ...]:
         """Actuator and body."""
         return ("joint_device", self.joint, self.limit, self.motor, self.place and tuple(self.place))
-
-    @property
-    def batched(self) -> tuple[str, ...]:
-        """Mass and inertia."""
-        return BATCHED
 
     @property
     def undriven(self) -> tuple[str, ...]:
@@ -365,6 +362,7 @@ class JointDeviceEffect(Effect):
             "peak": parameter("peak", -np.inf, 50.0),
         }
         self.sphere: HungMass = sphere.bind(scene, clock, f"joint_device mass{where}", condition.mass)
+        self.drawn = (*self.parameters.values(), self.sphere.mass)
         self.torque = scene.zeros(f"{owner}.torque")
         self.command = scene.zeros(f"{owner}.command", 2)  # the last one, and the one that acts
         self.info = {f"{condition.joint or 'brace'}_device_torque": self.torque}
@@ -381,12 +379,6 @@ class JointDeviceEffect(Effect):
         times, shares = np.array(condition.profile, dtype=float).T
         device.times, device.shares = wp.array(times, dtype=float), wp.array(shares, dtype=float)
 
-    def sample(self, renew: wp.array) -> None:
-        """Draw stiffness, assistance, peak and mass."""
-        for parameter in self.parameters.values():
-            parameter.sample(self.scene.keys, renew)
-        self.sphere.sample(renew)
-
     def reset(self, mask: wp.array) -> None:
         """Nothing was commanded."""
         for array in (self.torque, self.command, self.pending):
@@ -396,31 +388,12 @@ class JointDeviceEffect(Effect):
         """Hang the mass on the limb, and let the commands of earlier steps come forward."""
         self.sphere.launch()
         if self.device.delay:
-            wp.launch(
-                delay_command,
-                dim=self.scene.num_worlds,
-                outputs=[self.pending, self.command],
-            )
+            launch(delay_command, self.scene.num_worlds, self)
 
     def act_in_substep(self) -> None:
         """Launch `drive_device`."""
         data, model, muscles = self.scene.data, self.scene.model, self.scene.muscles
-        wp.launch(
-            drive_device,
-            dim=self.scene.num_worlds,
-            inputs=[
-                self.device,
-                data.ctrl,
-                data.actuator_length,
-                data.moment_rownnz,
-                data.moment_rowadr,
-                data.moment_colind,
-                data.actuator_moment,
-                muscles.tension,
-                self.clock,
-            ],
-            outputs=[self.command, self.torque, model.actuator_biasprm],
-        )
+        launch(drive_device, self.scene.num_worlds, self, data, muscles, model)
 
 
 CONDITIONS.add("joint_device", JointDevice)

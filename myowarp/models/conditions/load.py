@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import mujoco
-import warp as wp
 
 from myowarp.definitions.body import Place, fact_for
 from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Phase
@@ -39,6 +38,8 @@ class Load(Condition):
     WRITES = ("the weight in the hand",)
     NEUTRAL: ClassVar = {"mass": 0.0}
     TITLE = "weight in the hand"
+    scene_key = ("load",)  # the radius is applied with the mass
+    batched = BATCHED
 
     mass: Value = 1.0
     radius: float = 0.05
@@ -47,16 +48,6 @@ class Load(Condition):
         """Check the radius."""
         if not (isinstance(self.radius, (int, float)) and self.radius > 0.0 and is_finite(self.radius)):
             raise ValueError(f"load radius must be a finite length > 0 m, got {self.radius!r}")
-
-    @property
-    def scene_key(self) -> tuple[object, ...]:
-        """A massless body; the radius is applied with the mass."""
-        return ("load",)
-
-    @property
-    def batched(self) -> tuple[str, ...]:
-        """Mass and inertia."""
-        return BATCHED
 
     def check(self, spec: TaskSpec) -> None:
         """Raise ValueError if the body names no place for it."""
@@ -82,11 +73,7 @@ class LoadEffect(Effect):
     """A load in a scene."""
 
     def __init__(self, sphere: HungMass) -> None:
-        self.sphere = sphere
-
-    def sample(self, renew: wp.array) -> None:
-        """Draw masses."""
-        self.sphere.sample(renew)
+        self.scene, self.sphere, self.drawn = sphere.scene, sphere, (sphere.mass,)
 
     def act(self) -> None:
         """Hang the present masses on the palms."""

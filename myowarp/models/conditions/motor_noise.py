@@ -87,13 +87,8 @@ class MotorNoiseEffect(Effect):
 
     def __init__(self, scene: Scene, clock: Clock, signal: Parameter, constant: Parameter) -> None:
         self.scene, self.clock = scene, clock
-        self.signal, self.constant = signal, constant
+        self.signal, self.constant = self.drawn = signal, constant
         self.actuator_id = wp.array(scene.muscles.actuator_id, dtype=int)
-
-    def sample(self, renew: wp.array) -> None:
-        """Draw standard deviations."""
-        for parameter in (self.signal, self.constant):
-            parameter.sample(self.scene.keys, renew)
 
     def act(self) -> None:
         """Launch `add_motor_noise`."""

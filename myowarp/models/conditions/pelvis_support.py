@@ -20,6 +20,7 @@ import warp as wp
 from myowarp.definitions.body import fact_for
 from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Phase
 from myowarp.definitions.parameter import Clock, Curve, Parameter, Value, value_of
+from myowarp.kernels.launch import launch
 
 if TYPE_CHECKING:
     from myowarp.definitions.scene import Scene
@@ -153,7 +154,7 @@ class PelvisSupportEffect(Effect):
     """Support in a scene."""
 
     def __init__(self, scene: Scene, clock: Clock, share: Parameter) -> None:
-        self.scene, self.clock, self.share = scene, clock, share
+        self.scene, self.clock, self.share, self.drawn = scene, clock, share, (share,)
         joint = scene.oracle.joint(fact_for("be supported at the pelvis", scene.spec.body, "root"))
         self.root = Root()
         self.root.place, self.root.dof = int(joint.qposadr[0]), int(joint.dofadr[0])
@@ -161,36 +162,15 @@ class PelvisSupportEffect(Effect):
         self.root.mass, self.root.roll, self.root.turn = inertia[0], inertia[3], inertia[5]
         self.line = scene.zeros("condition.pelvis_support.line", 4)
 
-    def sample(self, renew: wp.array) -> None:
-        """Draw shares."""
-        self.share.sample(self.scene.keys, renew)
-
     def act(self) -> None:
         """Draw the line."""
         scene = self.scene
-        wp.launch(
-            draw_line,
-            dim=scene.num_worlds,
-            inputs=[self.root, scene.data.qpos, self.clock],
-            outputs=[self.line],
-        )
+        launch(draw_line, scene.num_worlds, self, scene.data)
 
     def act_in_substep(self) -> None:
         """Launch `support`."""
         scene = self.scene
-        wp.launch(
-            support,
-            dim=scene.num_worlds,
-            inputs=[
-                self.root,
-                self.share.curve,
-                scene.data.qpos,
-                scene.data.qvel,
-                self.line,
-                self.clock,
-            ],
-            outputs=[scene.data.qfrc_applied],
-        )
+        launch(support, scene.num_worlds, self, self.share, scene.data)
 
 
 CONDITIONS.add("pelvis_support", PelvisSupport)

@@ -19,6 +19,7 @@ import warp as wp
 from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Phase
 from myowarp.definitions.muscle import muscle_index
 from myowarp.definitions.parameter import Clock, Curve, Parameter, Value
+from myowarp.kernels.launch import launch
 from myowarp.models.conditions.tendon_transfer import (
     TendonTransferEffect,
     affected_parameter,
@@ -117,7 +118,7 @@ class ReafferentationEffect(Effect):
     """Reafferentation in a scene."""
 
     def __init__(self, scene: Scene, clock: Clock, parameter: Parameter) -> None:
-        self.scene, self.clock, self.parameter = scene, clock, parameter
+        self.scene, self.clock, self.parameter, self.drawn = scene, clock, parameter, (parameter,)
         muscles, transfer = scene.muscles, transfer_of(scene.spec.body)
         self.donor, self.lost = (
             int(muscles.actuator_id[muscle_index(name, muscles.names)])
@@ -130,18 +131,9 @@ class ReafferentationEffect(Effect):
             if isinstance(other, TendonTransferEffect):
                 check_apart(self.parameter, other.parameter)
 
-    def sample(self, renew: wp.array) -> None:
-        """Draw who is affected."""
-        self.parameter.sample(self.scene.keys, renew)
-
     def act(self) -> None:
         """Launch `redirect`."""
-        wp.launch(
-            redirect,
-            dim=self.scene.num_worlds,
-            inputs=[self.donor, self.lost, self.parameter.curve, self.clock],
-            outputs=[self.scene.data.ctrl],
-        )
+        launch(redirect, self.scene.num_worlds, self, self.parameter, self.scene.data)
 
 
 CONDITIONS.add("reafferentation", Reafferentation)

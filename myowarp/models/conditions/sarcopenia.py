@@ -61,11 +61,7 @@ class SarcopeniaEffect(Effect):
     """Sarcopenia in a scene."""
 
     def __init__(self, scene: Scene, clock: Clock, strength: Parameter) -> None:
-        self.scene, self.clock, self.strength = scene, clock, strength
-
-    def sample(self, renew: wp.array) -> None:
-        """Draw strengths."""
-        self.strength.sample(self.scene.keys, renew)
+        self.scene, self.clock, self.strength, self.drawn = scene, clock, strength, (strength,)
 
     def act(self) -> None:
         """Launch `weaken`."""

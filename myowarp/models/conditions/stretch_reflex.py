@@ -140,7 +140,7 @@ class StretchReflexEffect(Effect):
     """Stretch reflexes in a scene."""
 
     def __init__(self, scene: Scene, clock: Clock, gain: Parameter, delay: float) -> None:
-        self.scene, self.clock, self.gain = scene, clock, gain
+        self.scene, self.clock, self.gain, self.drawn = scene, clock, gain, (gain,)
         self.curve = gain.curve
         muscles = scene.muscles
         geometry, number = muscles.geometry(), len(muscles.names)
@@ -159,10 +159,6 @@ class StretchReflexEffect(Effect):
         stretches.drive = scene.zeros(f"{owner}.drive", number)
         stretches.pending = scene.zeros(f"{owner}.pending", steps, number)
         stretches.place = scene.zeros(f"{owner}.place", number, dtype=int)
-
-    def sample(self, renew: wp.array) -> None:
-        """Draw gains."""
-        self.gain.sample(self.scene.keys, renew)
 
     def reset(self, mask: wp.array) -> None:
         """Nothing was stretched."""

@@ -150,16 +150,11 @@ class TendonTearEffect(Effect):
         *,
         lifelong: bool,
     ) -> None:
-        self.scene, self.clock, self.parameters = scene, clock, (time, transmission)
+        self.scene, self.clock, self.drawn = scene, clock, (time, transmission)
         self.tear = Tear()
         self.tear.muscles = wp.array(indices, dtype=int)
         self.tear.time, self.tear.transmission = time.curve, transmission.curve
         self.tear.lifelong = lifelong
-
-    def sample(self, renew: wp.array) -> None:
-        """Draw times and transmissions."""
-        for parameter in self.parameters:
-            parameter.sample(self.scene.keys, renew)
 
     def act(self) -> None:
         """Launch `tear_tendons`."""

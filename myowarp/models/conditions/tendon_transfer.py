@@ -25,6 +25,7 @@ from myowarp.definitions.body import Transfer, fact_for
 from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Phase
 from myowarp.definitions.muscle import Anatomy, BiasParams, affine_bias, muscle_index
 from myowarp.definitions.parameter import Clock, Curve, Parameter, Value, value_of
+from myowarp.kernels.launch import launch
 
 if TYPE_CHECKING:
     from myowarp.definitions.scene import Scene
@@ -49,18 +50,10 @@ class TendonTransfer(Condition):
     NEUTRAL: ClassVar = {"affected": 0.0}
     TITLE = "tendon transfer"
     LABELS: ClassVar = {"affected": "operated"}
+    scene_key = (ACTUATOR,)
+    undriven = (ACTUATOR,)  # the donor drives it
 
     affected: Value = 1.0
-
-    @property
-    def scene_key(self) -> tuple[object, ...]:
-        """The added path."""
-        return (ACTUATOR,)
-
-    @property
-    def undriven(self) -> tuple[str, ...]:
-        """The actuator on the new path, which the donor drives."""
-        return (ACTUATOR,)
 
     def check(self, spec: TaskSpec) -> None:
         """Raise ValueError if the body names no muscles for it."""
@@ -190,7 +183,7 @@ class TendonTransferEffect(Effect):
     """
 
     def __init__(self, scene: Scene, clock: Clock, parameter: Parameter) -> None:
-        self.scene, self.clock, self.parameter = scene, clock, parameter
+        self.scene, self.clock, self.parameter, self.drawn = scene, clock, parameter, (parameter,)
         oracle, muscles = scene.oracle, scene.muscles
         self.route = Route()
         transfer = transfer_of(scene.spec.body)
@@ -204,19 +197,10 @@ class TendonTransferEffect(Effect):
         self.affected = wp.zeros(scene.num_worlds, dtype=bool)
         self.healthy = wp.ones(scene.num_worlds, dtype=bool)
 
-    def sample(self, renew: wp.array) -> None:
-        """Draw who is affected."""
-        self.parameter.sample(self.scene.keys, renew)
-
     def act(self) -> None:
         """Launch `reroute`, and fit the fibers to the path."""
         scene, muscles = self.scene, self.scene.muscles
-        wp.launch(
-            reroute,
-            dim=scene.num_worlds,
-            inputs=[self.route, self.clock],
-            outputs=[muscles.anatomy, self.affected, self.healthy, scene.model.actuator_biasprm],
-        )
+        launch(reroute, scene.num_worlds, self, muscles, scene.model)
         muscles.set_length_range(self.route.donor, self.length_range, self.affected)
         muscles.set_length_range(self.route.donor, self.own_length_range, self.healthy)
 

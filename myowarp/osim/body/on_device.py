@@ -46,7 +46,6 @@ def lengths_and_moment_arms(
     values: Mapping[str, np.ndarray],
     speeds: np.ndarray,
     guard: float = 0.0,
-    device: str = "cpu",
 ) -> PathsFound:
     """Return paths in many poses.
 
@@ -56,7 +55,6 @@ def lengths_and_moment_arms(
         values: Of independent coordinates [rad] or [m], each of shape (n,); others stand at default.
         speeds: Of the independent coordinates in their order, shape (n, independent).
         guard: Times once round all surfaces of a path, by which one wrap may make it longer; 0: as OpenSim.
-        device: Warp's name of the device.
     """
     count = len(speeds)
     paths_of, needed = described(model, paths)
@@ -67,7 +65,7 @@ def lengths_and_moment_arms(
         np.zeros((count, len(paths), speeds.shape[1])),
         np.zeros((count, len(paths)), bool),
     )
-    with wp.ScopedDevice(device):
+    with wp.ScopedDevice("cpu"):
         memory = PathMemory(paths_of, min(count, TOGETHER), len(needed), guard)
         for first in range(0, count, TOGETHER):
             rows = np.arange(first, min(first + TOGETHER, count))

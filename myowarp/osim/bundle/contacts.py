@@ -18,6 +18,7 @@ import warp as wp
 from myowarp.kernels.structs import struct_array
 from myowarp.laws.forces.contact import Contact
 from myowarp.laws.forces.contact_shapes import ELLIPSOID, HALF_SPACE, SPHERE
+from myowarp.osim.bundle.paths import frozen
 from myowarp.osim.bundle.text import Sidecar
 from myowarp.osim.document.contacts import Material, Pair
 
@@ -139,17 +140,7 @@ def _pair(entry: Any) -> SurfacePair:
     Raises:
         ValueError: A number cannot be computed with.
     """
-    surfaces = [
-        Surface(
-            **entry[side]
-            | {
-                "rotation": tuple(map(tuple, entry[side]["rotation"])),
-                "origin": tuple(entry[side]["origin"]),
-                "size": tuple(entry[side]["size"]),
-            }
-        )
-        for side in ("first", "second")
-    ]
+    surfaces = [Surface(**frozen(entry[side])) for side in ("first", "second")]
     material = Material(**entry["material"])
     numbers = [*dataclasses.astuple(material)]
     for surface in surfaces:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import io
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -95,7 +95,11 @@ def as_png(charts: Sequence[Chart], width: int, height: int) -> bytes:
 def as_csv(charts: Sequence[Chart]) -> str:
     """Return charts with one axis as a table: the axis, and a column for each curve."""
     names = [charts[0].axis, *(f"{curve.label}, {chart.title}" for chart in charts for curve in chart.curves)]
-    columns = [charts[0].along, *(curve.values for chart in charts for curve in chart.curves)]
+    return csv_of(names, [charts[0].along, *(curve.values for chart in charts for curve in chart.curves)])
+
+
+def csv_of(names: Sequence[str], columns: Iterable[Iterable[float]]) -> str:
+    """Return columns as a table under their names."""
     lines = [",".join(f'"{name}"' if "," in name else name for name in names)]
     lines += [",".join(f"{value:.9g}" for value in row) for row in zip(*columns, strict=True)]
     return "\n".join(lines) + "\n"

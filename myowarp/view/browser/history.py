@@ -6,6 +6,7 @@ from collections import deque
 
 import numpy as np
 
+from myowarp.view.browser.chart import csv_of
 from myowarp.view.browser.readings import Kind, Moment
 
 SECONDS = 10.0
@@ -58,12 +59,11 @@ class History:
 
     def table(self, kinds: dict[str, Kind], chosen: list[tuple[str, str]], beside: bool) -> str:
         """Return chosen quantities as CSV: time, episode, and a column for each, the twin's after its own."""
-        names, columns = ["time [s]", "episode"], [self.times, [m.episode for m in self.moments]]
+        names = ["time [s]", "episode"]
+        columns = [self.times, np.array([moment.episode for moment in self.moments])]
         for kind, item in chosen:
             index = kinds[kind].items.index(item)
             for twin in range(1 + beside):
                 names.append(f"{kind} of {item}{' before' if twin else ''} [{kinds[kind].unit}]")
                 columns.append(self.values(kind, index, bool(twin)))
-        lines = [",".join(f'"{name}"' if "," in name else name for name in names)]
-        lines += [",".join(f"{value:.9g}" for value in row) for row in zip(*columns, strict=True)]
-        return "\n".join(lines) + "\n"
+        return csv_of(names, columns)

@@ -59,9 +59,9 @@ class Widgets:
         """Add a box to tick."""
         self.on(label, self._gui.add_checkbox(label, now()), do, now)
 
-    def press(self, label: str, do: Callable[[], object], hint: str = "") -> None:
+    def press(self, label: str, do: Callable[[], object]) -> None:
         """Add a button."""
-        button = self._gui.add_button(label, hint=hint or None)
+        button = self._gui.add_button(label)
         button.on_click(lambda _: self._live.ask(label, do))
 
     def on(self, key: str, handle: Any, do: Callable[[Any], object], now: Callable[[], Any]) -> None:

@@ -16,12 +16,13 @@ from typing import Any
 
 from rich.console import Console
 
-from myowarp.apps.studies.cluster import check_ray, connected, each
+from myowarp.apps.studies.cluster import connected, each
 from myowarp.apps.studies.cohort.plan import plan_cohort
 from myowarp.apps.studies.cohort.run import run_plan
 from myowarp.apps.studies.parts import LOCK, RESULTS, SUMMARY, agree, part, remove_damaged
 from myowarp.definitions.setup import DEFAULTS
 from myowarp.disk import check_folder, files_digest, in_place, locked, make_folder
+from myowarp.extras import check_installed
 from myowarp.progress import progress_bar
 from myowarp.sim.patient_table import PATIENT, Population
 
@@ -50,7 +51,7 @@ def run(
     """
     check_folder(output)
     population = plan_cohort(table, **settings).population
-    check_ray("a cohort in chunks")
+    check_installed("a cohort in chunks", "ray", "ray")
     total = len(population.patients)
     starts = range(0, total, chunk)
     for folder in (RESULTS, SUMMARY):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +12,7 @@ import numpy as np
 from myowarp.apps.policies.find import Act, Policy, find_policy
 from myowarp.definitions.registry import check_least
 from myowarp.definitions.setup import MOST_SEED, Setup
-from myowarp.extras import to_install
+from myowarp.extras import check_installed
 from myowarp.sim.build import MOST_STEPS, resolve_device
 from myowarp.sim.patient_table import Population, population_of
 from myowarp.tasks.setups import complete, variant_of
@@ -68,8 +67,7 @@ def plan_cohort(
         ImportError: pandas or pyarrow is not installed.
     """
     for package in ("pandas", "pyarrow"):
-        if importlib.util.find_spec(package) is None:
-            raise ImportError(f"a cohort needs {package}, which is not installed; run {to_install('cohort')}")
+        check_installed("a cohort", package, "cohort")
     setup = Setup.of(what)
     if (variant := variant_of(setup)) != Variant(variant.task):
         raise ValueError(

@@ -23,11 +23,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.console import Console
 
-from myowarp.apps.studies.cluster import check_ray, connected, each
+from myowarp.apps.studies.cluster import connected, each
 from myowarp.apps.studies.motion.figure import draw_forces
 from myowarp.apps.studies.motion.plan import Piece, Study, plan_study, recording_of
 from myowarp.apps.studies.parts import LOCK, RESULTS, SUMMARY, agree, part, remove_damaged
 from myowarp.disk import check_folder, in_place, locked, make_folder, sentence, write_rows
+from myowarp.extras import check_installed
 from myowarp.motion.draws import Drawn, Recording, draw_trial
 from myowarp.motion.residuals import SMALL, Residuals
 from myowarp.motion.storage import Storage, write_storage
@@ -87,7 +88,7 @@ def run(
     check_folder(output)
     study, output = plan_study(table.resolve(), **settings), output.resolve()
     if cluster is not None:
-        check_ray("a study over a cluster")
+        check_installed("a study over a cluster", "ray", "ray")
     for folder in (RESULTS, SUMMARY):
         make_folder(output / folder)
     with locked(output / LOCK, wait=False):

@@ -17,6 +17,7 @@ from rich.progress import Progress
 from myowarp.apps.policies.checkpoint import POLICY, Checkpoint
 from myowarp.apps.reports.essay import sections
 from myowarp.apps.reports.result import Merit
+from myowarp.apps.studies.parts import check_settings
 from myowarp.apps.studies.reproduce.policies import Training, committed, retrained
 from myowarp.definitions.setup import Setup
 from myowarp.disk import in_place, plain, version
@@ -205,11 +206,6 @@ def _read(path: Path, key: str) -> dict[str, np.ndarray] | None:
         raise ValueError(
             f"run {str(path)!r} is damaged ({' '.join(str(error).split())}); delete it, or pass --overwrite"
         ) from error
-    wanted = json.loads(key)
-    for entry in wanted.keys() | recorded.keys():
-        if recorded.get(entry) != wanted.get(entry):
-            raise ValueError(
-                f"run {str(path)!r} was made with other settings ({entry} is {recorded.get(entry)!r} there "
-                f"and {wanted.get(entry)!r} here); choose another --output, or pass --overwrite"
-            )
+    remedy = "choose another --output, or pass --overwrite"
+    check_settings(f"run {str(path)!r} was made with", recorded, json.loads(key), remedy)
     return arrays

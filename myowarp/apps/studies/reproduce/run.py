@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab
 from myowarp.definitions.registry import check_flag, check_least
 from myowarp.definitions.setup import Setup
 from myowarp.disk import check_folder, make_folder
-from myowarp.extras import to_install
+from myowarp.extras import check_installed
 from myowarp.sim.build import MOST_WORLDS, check_device_name, resolve_device
 
 SEEDS, WORLDS = 5, 64
@@ -96,8 +95,7 @@ def plan_experiment(
     if missing := [path for path in models if not path.is_file()]:
         raise ValueError(f"--models {str(missing[0])!r} is no file; give the path of an .osim file")
     for package in ("matplotlib", "scipy"):
-        if importlib.util.find_spec(package) is None:
-            raise ImportError(f"reproduce needs {package}; run {to_install('plot')}")
+        check_installed("reproduce", package, "plot")
     folder = output or report.output_folder(name, quick, retrain)
     check_folder(folder)
     return ExperimentJob(experiment, folder, number, worlds, quick, retrain, overwrite, setup, tuple(models))

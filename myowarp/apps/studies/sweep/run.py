@@ -10,12 +10,13 @@ from rich.console import Console
 from rich.live import Live
 
 from myowarp.apps.policies.baselines import baseline_folder, baseline_tasks
-from myowarp.apps.studies.cluster import check_ray, connected, each
+from myowarp.apps.studies.cluster import connected, each
 from myowarp.apps.studies.sweep import report, work
 from myowarp.apps.studies.sweep.study import Run, read_study
 from myowarp.definitions.setup import OPTIONS
 from myowarp.definitions.task import TASKS
 from myowarp.disk import check_folder, locked, make_folder
+from myowarp.extras import check_installed
 from myowarp.process import num_cores
 from myowarp.tasks.outside import find_task
 
@@ -37,7 +38,7 @@ def run(study: Path, output: Path, address: str | None, cpus: int, gpus: float, 
         for line in forecast(runs, results, cpus):
             print(line)
         return
-    check_ray("a sweep")
+    check_installed("a sweep", "ray", "ray")
     make_folder(output)
     output = output.resolve()
     failures: dict[str, str] = {}

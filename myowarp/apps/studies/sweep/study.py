@@ -19,6 +19,7 @@ import dataclasses
 import hashlib
 import importlib.util
 import itertools
+import json
 import math
 import re
 import sys
@@ -76,8 +77,8 @@ class Run:
     episodes: int
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as JSON holds it."""
-        return {**dataclasses.asdict(self), "options": _plain(self.options)}
+        """Return it as JSON gives it back."""
+        return dict(json.loads(json.dumps(dataclasses.asdict(self), default=str)))
 
 
 def read_study(path: Path, output: Path) -> list[Run]:
@@ -254,19 +255,6 @@ def _word(value: Any) -> str:
     return "x".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
-def _plain(value: Any) -> Any:
-    """Return a value as JSON gives it back."""
-    if isinstance(value, dict):
-        return {key: _plain(entry) for key, entry in value.items()}
-    return (
-        [_plain(v) for v in value]
-        if isinstance(value, tuple | list)
-        else str(value)
-        if isinstance(value, Path)
-        else value
-    )
-
-
 def training(run: Run, folder: Path) -> Job:
     """Return the training of a run within its folder, checked; one that was broken off goes on."""
     from myowarp.apps.policies.checkpoint import last_saved
@@ -297,22 +285,12 @@ def _check_training(run: Run, folder: Path) -> None:
     training(run, folder)
 
 
-def _check_eval(run: Run, folder: Path) -> None:
-    """Raise ValueError if a run cannot be evaluated."""
-    evaluation(run)
-
-
-def evaluation(run: Run) -> EvaluationJob:
+def evaluation(run: Run, _: Path) -> EvaluationJob:
     """Return the evaluation of a policy, checked."""
     from myowarp.apps.reports.evaluation import plan_evaluation
 
     setup, options = _divided(run)
     return plan_evaluation(options.pop("checkpoint"), setup, episodes=run.episodes, **options)
-
-
-def _check_reproduce(run: Run, folder: Path) -> None:
-    """Raise ValueError if an experiment cannot be run."""
-    experiment(run, folder)
 
 
 def experiment(run: Run, folder: Path) -> ExperimentJob:
@@ -323,8 +301,8 @@ def experiment(run: Run, folder: Path) -> ExperimentJob:
     return plan_experiment(run.task, output=folder / "experiment", setup=setup, **options)
 
 
-CHECKS: dict[str, Callable[[Run, Path], None]] = {
+CHECKS: dict[str, Callable[[Run, Path], object]] = {
     "train": _check_training,
-    "eval": _check_eval,
-    "reproduce": _check_reproduce,
+    "eval": evaluation,
+    "reproduce": experiment,
 }

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from myowarp.apps.studies.parts import check_settings
 from myowarp.apps.studies.sweep.study import POLICY, Run, evaluation, experiment, training
 from myowarp.definitions.setup import Setup
 from myowarp.disk import in_place, locked, make_folder, plain
@@ -33,12 +34,7 @@ def finished(run: Run, output: Path) -> dict[str, Any] | None:
         raise ValueError(f"result {str(path)!r} is damaged ({error}); delete it") from error
     wanted = run.as_dict()
     here, there = ({**of["options"], "episodes": of["episodes"]} for of in (wanted, recorded))
-    for name in sorted(here.keys() | there.keys()):
-        if here.get(name) != there.get(name):
-            raise ValueError(
-                f"result {str(path)!r} was made with other settings ({name} is {there.get(name)!r} there and "
-                f"{here.get(name)!r} here); choose another --output"
-            )
+    check_settings(f"result {str(path)!r} was made with", there, here)
     return dict(found)
 
 
@@ -85,7 +81,7 @@ def _eval(run: Run, folder: Path) -> dict[str, Any]:
     """Evaluate a policy."""
     from myowarp.apps.reports.evaluation import evaluate_policy
 
-    return evaluate_policy(evaluation(run))[1]
+    return evaluate_policy(evaluation(run, folder))[1]
 
 
 def _reproduce(run: Run, folder: Path) -> dict[str, Any]:

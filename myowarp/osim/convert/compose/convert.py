@@ -20,15 +20,17 @@ from myowarp.osim.body.hill_muscle import HillMuscle
 from myowarp.osim.bundle.bundle import Bundle
 from myowarp.osim.bundle.coordinate_map import CoordinateMap
 from myowarp.osim.bundle.couplings import Couplings
-from myowarp.osim.convert.compose.contacts import document_contacts
-from myowarp.osim.convert.compose.forces import passive_forces
+from myowarp.osim.convert.compose.beside import (
+    document_contacts,
+    document_paths,
+    muscle_table,
+    passive_forces,
+)
 from myowarp.osim.convert.compose.geometry import Build, begin, exact_couplings, starts_of, tie
 from myowarp.osim.convert.compose.meshes import add_shapes
 from myowarp.osim.convert.compose.passive import add_forces, path_tendon
-from myowarp.osim.convert.compose.paths import document_paths
 from myowarp.osim.convert.compose.points import add_markers, add_moving_points, stilled
 from myowarp.osim.convert.compose.visible_body import add_visible_body
-from myowarp.osim.convert.muscle_table import muscle_table
 from myowarp.osim.convert.tendon.path import TendonPath
 from myowarp.osim.document.contacts import resting
 from myowarp.osim.document.model import Model, Muscle, Note, pulling

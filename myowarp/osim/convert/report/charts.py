@@ -102,11 +102,12 @@ def png(pixels: Array) -> bytes:
     )
 
 
-def outline(title: str, strokes: Sequence[tuple[str, Array]], dots: Array, size: int = 380) -> str:
+def outline(title: str, strokes: Sequence[tuple[str, Array]], dots: Array) -> str:
     """Return polylines (style, points (n, 2)) and dots (n, 2) in one scale, the second axis up.
 
     A style is a class, or `class:color`; the class `bone` has an edge.
     """
+    size = 380
     points = np.concatenate([dots, *(stroke for _, stroke in strokes)]) if len(strokes) else dots
     low, high = points.min(axis=0), points.max(axis=0)
     scale = (size - 30) / max(float((high - low).max()), 1e-6)

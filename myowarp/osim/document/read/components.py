@@ -6,7 +6,6 @@ from typing import Any, Literal
 
 from myowarp.osim.document.elements import Shape
 from myowarp.osim.document.model import Coupler, Loss, Note
-from myowarp.osim.document.read import contacts as read_contacts
 from myowarp.osim.document.read import forces as read_forces
 from myowarp.osim.document.read import muscles as read_muscles
 from myowarp.osim.document.read.element import Element
@@ -37,8 +36,8 @@ READERS: dict[str, tuple[str, Callable[[Element, Scope], Any]]] = {
     "PointToPointSpring": ("ligaments", read_forces.read_between_points),
     "ExpressionBasedPointToPointForce": ("ligaments", read_forces.read_between_points),
     "PointToPointActuator": ("path_actuators", read_forces.read_between_points),
-    "SmoothSphereHalfSpaceForce": ("contact_forces", read_contacts.read_smooth_contact),
-    "HuntCrossleyForce": ("contact_forces", read_contacts.read_hunt_crossley),
+    "SmoothSphereHalfSpaceForce": ("contact_forces", read_forces.read_smooth_contact),
+    "HuntCrossleyForce": ("contact_forces", read_forces.read_hunt_crossley),
     "CoordinateCouplerConstraint": ("couplers", read_forces.read_coupler),
     "WeldConstraint": ("constraints", read_forces.read_constraint),
     "PointConstraint": ("constraints", read_forces.read_constraint),

@@ -325,3 +325,14 @@ def _joints(
         coordinates[name], more = read_coordinate(item, name, by_name[owner])
         notes += more
     return by_name, coordinates, copies
+
+
+def read_groups(path: Path) -> dict[str, tuple[str, ...]]:
+    """Return the members of each group of a model, such as the flexors of a hip, by its name.
+
+    Raises:
+        ValueError: The file is no document, with file and line.
+        OSError: It cannot be read.
+    """
+    groups = (element for element in parse(path)[0].walk() if element.tag == "ObjectGroup")
+    return {group.name: tuple(group.string("members").split()) for group in groups}
