@@ -100,6 +100,19 @@ def test_it_remembers_as_torchs_unit_does_wherever_it_is_played(tmp_path):
         memory = after
 
 
+def test_a_memory_that_begins_from_a_policy_without_one_acts_like_it_at_every_step():
+    """The unit remembers from the first step on, and what it remembers says nothing yet."""
+    parent, child, (obs, begins) = learner_of(memory=0), learner_of(), sequence()
+    with torch.no_grad():
+        expected = parent.means(parent.inputs(torch.from_numpy(obs))).clamp(-1.0, 1.0).numpy()
+    assert np.abs(by_torch(child, obs, begins)[0] - expected).max() > 0.1
+    parent.follow(0.0)
+    child.inherit(parent.acting(), 500, 96, np.arange(NUM_OBS))
+    means, memories = by_torch(child, obs, begins)
+    assert np.abs(means - expected).max() < SAME
+    assert np.abs(memories).max() > 0.1
+
+
 class EndingWorlds(DrawnWorlds):
     """Worlds whose episodes end at random, some because the time is over."""
 
