@@ -178,6 +178,14 @@ def test_what_is_left_out_is_noted(tmp_path):
     assert notes["/forceset/off"] == "switched off in the file; left out"
 
 
+def test_speeds_at_the_start_are_noted(tmp_path):
+    """OpenSim's simulations begin with them; those of a scene begin at rest."""
+    assert not any("at rest" in note.rule for note in read_model(ARM).notes)
+    path = changed(tmp_path, ARM, "<default_speed_value>0<", "<default_speed_value>-2.5<")
+    rules = [note.rule for note in read_model(path).notes]
+    assert "begins with -2.5 rad/s in OpenSim; here it begins at rest" in rules
+
+
 def test_bytes_that_are_no_utf_8(tmp_path):
     path = tmp_path / "latin.osim"
     path.write_bytes(OLD.read_text().replace("free.", "Jörg").encode("latin-1"))

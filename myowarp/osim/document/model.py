@@ -118,8 +118,6 @@ class Coordinate:
     """Whether it is an angle [rad]; else a length [m]."""
     default: float
     """[rad] or [m]."""
-    default_speed: float
-    """[rad/s] or [m/s]."""
     range: tuple[float, float]
     """Low, high [rad] or [m]; meaningless where nobody set it (see `sampling_range`)."""
     clamped: bool

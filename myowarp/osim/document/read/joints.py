@@ -246,7 +246,7 @@ def read_coordinate(element: Element | None, name: str, joint: Joint) -> tuple[C
     if hinges and not straight:
         rotational = True
     if element is None:
-        return Coordinate(name, joint.name, rotational, 0.0, 0.0, (-10.0, 10.0), False, False), []
+        return Coordinate(name, joint.name, rotational, 0.0, (-10.0, 10.0), False, False), []
     low, high = element.numbers("range", default=(-10.0, 10.0), count=2)
     clamped, locked = element.flag("clamped", default=False), element.flag("locked", default=False)
     if low > high:
@@ -265,10 +265,10 @@ def read_coordinate(element: Element | None, name: str, joint: Joint) -> tuple[C
                 "prescribed by a function of time: locked at its value at 0 s",
             )
         )
-    speed = element.number("default_speed_value", default=0.0)
-    coordinate = Coordinate(
-        name, joint.name, rotational, default, speed, (float(low), float(high)), clamped, locked
-    )
+    if speed := element.number("default_speed_value", default=0.0):
+        said = f"begins with {speed:g} {'rad' if rotational else 'm'}/s in OpenSim; here it begins at rest"
+        notes.append(Note(f"/jointset/{joint.name}/{name}", said))
+    coordinate = Coordinate(name, joint.name, rotational, default, (float(low), float(high)), clamped, locked)
     return coordinate, notes
 
 
