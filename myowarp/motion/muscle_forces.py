@@ -2,9 +2,9 @@
 
 In mode `opensim` a muscle has a rigid tendon and no passive force, as OpenSim's StaticOptimization takes it:
 F = a Fmax f_L f_V, for some classes times the cosine of the pennation angle (`ALONG_TENDON`). In mode
-`equilibrium` fiber and tendon are in equilibrium at the velocity of the path, with passive force; this is not
-proportional to the activation, so that a few rounds follow, each with the secant F(0) + a (F(a') - F(0)) / a'
-of the activation a' before.
+`equilibrium` fiber and tendon are in equilibrium at the velocity of the path, with passive force. F(a) is no
+straight line then: a muscle that shortens fast has no force up to an activation well above 0. So a few rounds
+follow, each with the chord of F from the least activation to that which gives the force of the round before.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ ALONG_TENDON = ("Thelen2003Muscle", "Millard2012AccelerationMuscle")
 """Classes whose `calcInextensibleTendonActiveFiberForce` is that along the tendon; OpenSim 4.6 leaves the
 cosine out of Millard2012EquilibriumMuscle's and DeGrooteFregly2016Muscle's."""
 
-ROUNDS = 4
-"""Of secants in mode `equilibrium`."""
+ROUNDS = 6
+"""Of chords in mode `equilibrium`."""
 
-LEAST = 0.01
-"""Activation from which a secant is taken, at least."""
+NARROW = 1e-9
+"""Distance of two activations that is not divided by."""
 
 FEASIBLE = 1e-5
 """Share of the greatest moment of a coordinate up to which it counts as met."""
@@ -200,7 +200,7 @@ def _together(parts: list[MuscleForces]) -> MuscleForces:
 
 
 Solved = tuple[Activations, np.ndarray, np.ndarray, np.ndarray]
-"""Activations, capacity [N], passive force [N], and length of fibers along the tendon [m]."""
+"""Activations, force [N], its passive share [N], and length of fibers along the tendon [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,7 +293,9 @@ class _Share:
         for i, muscle in enumerate(muscles):
             capacity[:, i] = rigid_capacity(muscle, paths.length[:, i], paths.velocity[:, i], longer[:, i])
         capacity *= strength
-        return self.solve(paths, moment, capacity), capacity, np.zeros_like(capacity), along
+        found = self.solve(paths, moment, capacity)
+        force = capacity * found.activation[:, : len(muscles)]
+        return found, force, np.zeros_like(capacity), along
 
     def settled(
         self,
@@ -303,23 +305,51 @@ class _Share:
         strength: np.ndarray,
         slack: np.ndarray,
     ) -> Solved:
-        """Solve with fibers and tendons in equilibrium, by secants."""
+        """Solve with fibers and tendons in equilibrium, by chords."""
 
         def at(activation: ArrayLike, near: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
             force, along, _ = steady.at(activation, paths.length, paths.velocity, slack, near)
             return strength * force, along
 
+        count = len(self.muscles)
+        low, high = (np.broadcast_to(a[:count], paths.length.shape) for a in (self.lower, self.upper))
         passive, _ = at(0.0)
-        most, along = at(1.0)
-        capacity = most - passive
-        rest = moment - np.einsum("nmk,nm->nk", paths.moment_arm, passive)
-        found = self.solve(paths, rest, capacity)
+        least, _ = at(low) if low.any() else (passive, passive)
+        most, along = at(high)
+        known_at, known = [low, high], [least, most]  # activations, and the forces there
+
+        def on_chords(
+            slope: np.ndarray, near: np.ndarray | None = None
+        ) -> tuple[Activations, np.ndarray, np.ndarray]:
+            """Return the solution, its activations of muscles and their forces."""
+            rest = moment - np.einsum("nmk,nm->nk", paths.moment_arm, least - slope * low)
+            found = self.solve(paths, rest, slope, near)
+            activation = found.activation[:, :count]
+            return found, activation, least + slope * (activation - low)
+
+        slope = (most - least) / np.maximum(high - low, NARROW)
+        found, activation, wanted = on_chords(slope)
         for _ in range(ROUNDS - 1):
-            before = np.clip(found.activation[:, : len(self.muscles)], LEAST, 1.0)
-            force, along = at(before, along)
-            capacity = (force - passive) / before
-            found = self.solve(paths, rest, capacity, found.dual)
-        return found, capacity, passive, along
+            force, along = at(activation, along)
+            known_at, known = [*known_at, activation], [*known, force]
+            needed = between(np.array(known), np.array(known_at), wanted)
+            chord = (wanted - least) / np.maximum(needed - low, NARROW)
+            slope = np.where(activation > low, chord, slope)
+            found, activation, wanted = on_chords(slope, found.dual)
+        return found, wanted, passive, along
+
+
+def between(x: np.ndarray, y: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Return y where x is wanted, on the line between the nearest points, of which a first axis has several.
+
+    y grows with x; where x has a value several times, the last of them counts. Beyond the greatest x y ends.
+    """
+    below, above = x <= wanted, x > wanted
+    x0, y0 = (np.where(below, values, -np.inf).max(axis=0) for values in (x, y))
+    x1, y1 = (np.where(above, values, np.inf).min(axis=0) for values in (x, y))
+    last = ~above.any(axis=0)
+    share = (wanted - x0) / np.where(last, 1.0, x1 - x0)
+    return np.where(last, y0, y0 + share * (np.where(last, y0, y1) - y0))
 
 
 def _made_of(
@@ -331,9 +361,8 @@ def _made_of(
     solved: Solved,
 ) -> MuscleForces:
     """Return the forces of a solution; `wanted` are the greatest moments of all of the motion."""
-    (found, capacity, passive, along), count = solved, len(share.muscles)
+    (found, force, passive, along), count = solved, len(share.muscles)
     activation = found.activation[:, :count]
-    force = passive + capacity * activation
     widths = np.array([muscle.fiber_width for muscle in share.muscles])
     missing = joint_moment.copy()
     missing[:, share.held] = found.missing

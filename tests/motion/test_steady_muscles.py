@@ -9,6 +9,7 @@ import pytest
 
 from myowarp.motion.metabolic_power import metabolic_power
 from myowarp.motion.muscle_forces import muscle_forces, rigid_capacity
+from myowarp.motion.storage import read_storage
 from myowarp.osim.body.hill_muscle import HillMuscle, known
 from myowarp.osim.body.muscle_paths import muscle_paths
 from myowarp.osim.body.skeleton import Bones
@@ -85,6 +86,33 @@ def test_metabolic_power(mode):
         held = z > muscle.shortest_fiber
         np.testing.assert_allclose(power[held, k], (heat + work)[held], rtol=0.02, atol=0.02, err_msg=name)
     assert power.max() > 5.0, "W"
+
+
+def test_forces_are_those_of_their_activations():
+    """By the NumPy law, where muscles shorten so fast that they have no force up to an activation above 0."""
+    model = read_model(DATA / "osim/arm26.osim")
+    coordinates, random = tuple(model.coordinates), np.random.default_rng(5)
+    values, speeds = 0.8 + random.uniform(-0.5, 0.5, (40, 2)), random.uniform(-9.0, -3.0, (40, 2))
+    paths = muscle_paths(Bones(model, "cpu"), values, speeds)
+    moment = random.uniform(-1.0, -0.2, (40, 2))
+    found = muscle_forces(model, coordinates, paths, moment, reserves=dict.fromkeys(coordinates, 1.0))
+    for k, name in enumerate(found.muscles):
+        muscle = HillMuscle.of(model.muscles[name])
+        slack = np.full(40, muscle.values["tendon_slack_length"])
+        _, wanted = muscle.steady(found.activation[:, k], paths.length[:, k], paths.velocity[:, k], slack)
+        share = found.force[:, k] / muscle.values["max_isometric_force"]
+        np.testing.assert_allclose(share, wanted, atol=1e-3, err_msg=name)
+    assert found.force.max() > 100.0, "N"
+
+
+def test_reserves_do_not_take_the_place_of_muscles_that_shorten(run, tmp_path):
+    """The triceps of the example hold the arm on its way back."""
+    examples = DATA.parents[1] / "examples"
+    motion = ("--motion", examples / "arm_bend.mot", "--filter", 6, "--reserve", 1)
+    status, _, said = run("motion", "forces", examples / "arm.osim", *motion, "-o", tmp_path)
+    assert status == 0, said
+    moments, reserves = (read_storage(tmp_path / f"{name}.sto") for name in ("moments", "reserves"))
+    assert np.abs(reserves.values).max() < 0.01 * np.abs(moments.values).max()
 
 
 RIGID = {
