@@ -33,16 +33,6 @@ def success(task: str, actions: str = "deterministic", rule: str = MYOSUITE) -> 
     return [100.0 * found[rule] for found in figures if rule in found]
 
 
-def both(task: str) -> str:
-    """Return success by MyoSuite's rule and the strict one, means over seeds; of one seed if one has both."""
-    paper, strict = success(task), success(task, rule="success")
-    if len(strict) == len(paper):
-        return f"{fmean(paper):.0f}/{fmean(strict):.0f} ({len(paper)})"
-    figures = [run["evaluation"]["deterministic"] for run in load_baseline(task).runs]
-    pairs = [f"{100 * f[MYOSUITE]:.0f}/{100 * f['success']:.0f}" for f in figures if "success" in f]
-    return f"{fmean(paper):.0f} ({len(paper)}; one seed {', another '.join(pairs)})"
-
-
 def exception(task: str) -> str:
     """Return how an easy task falls short."""
     own, drawn = success(task), success(task, "sampled")
@@ -75,7 +65,7 @@ def learning() -> dict[str, Any]:
     good = [min(own) for own in easy.values() if min(own) >= LEARNED]
     counts = [len(own) for own in easy.values()]
     walking = [run["evaluation"]["deterministic"] for run in load_baseline("myoLegWalk-v0").runs]
-    hard = ", ".join(f"{name} {both(task)}" for task, name in HARD.items())
+    hard = ", ".join(f"{name} {fmean(own := success(task)):.0f} ({len(own)})" for task, name in HARD.items())
     return {
         "easy": len(easy),
         "good": len(good),
