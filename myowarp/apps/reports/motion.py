@@ -104,7 +104,7 @@ PARTS = (
     Part("actuators.sto", "Motors of the model", "N m or N", "Moment or force of each, by its name."),
     REACTIONS,
     ACTIVATIONS,
-    Part("forces.sto", "Muscle forces", "N", open=False),
+    Part("forces.sto", "Muscle forces", "N"),
     Part("powers.sto", "Muscle powers", "W", "Shortening is positive.", open=False),
     Part(
         "metabolic_powers.sto",
