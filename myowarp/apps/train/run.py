@@ -211,7 +211,9 @@ def _end(run: Run, selection: Selection) -> str:
     else:
         reached = run.worlds.tally.reached(settings.stop_success, settings.stop_rule)
     if reached:
-        return f"at least {100 * settings.stop_success:.1f} % {SUCCESSES[settings.stop_rule]}"
+        actions = "mean" if settings.selections else "drawn"
+        share = f"{100 * settings.stop_success:.1f} %"
+        return f"with {actions} actions at least {share} of the episodes: {SUCCESSES[settings.stop_rule]}"
     return "all samples" if run.samples >= settings.samples else ""
 
 
@@ -307,7 +309,7 @@ def _publish(job: Job, report: dict[str, Any], console: Console) -> None:
         scratch.write_text(json.dumps(plain(report), indent=1) + "\n")
     curve = draw_curve(job.folder, f"{job.asked.task}, {job.settings.algorithm}, seed {job.setup.seed}")
     share = f"{100 * report['success']:.1f} %" if report["episodes"] else "none"
-    acts = f"sampled actions, {_physics(job, report['samples'])} physics"
+    acts = f"drawn actions, {_physics(job, report['samples'])} physics"
     console.print(
         f"Ended after {report['samples']:,} samples: {report['ended']}. {share} of the last episodes "
         f"succeeded ({acts}). {report['training_seconds']:.1f} s of training, "
