@@ -126,7 +126,7 @@ def test_without_reserves_the_weak_are_named(gait, capsys):
 def test_weak_reserves_hold_what_muscles_cannot(gait, capsys):
     """They have no bound; what the softness of the solver leaves beside them is said, and is no lack."""
     folder, _ = gait
-    Forces(GAIT, motion=folder / "motion.mot", loads=folder / "push.xml", filter=6.0, reserve=0.05,
+    Forces(GAIT, motion=folder / "motion.mot", loads=folder / "push.xml", filter=6.0, reserve=0.03,
            output=folder / "weak")()  # fmt: skip
     said = capsys.readouterr().err
     missing, given = (read_storage(folder / f"weak/{name}.sto") for name in ("missing", "reserves"))
