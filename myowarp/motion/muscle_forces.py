@@ -316,7 +316,7 @@ class _Share:
         passive, _ = at(0.0)
         least, _ = at(low) if low.any() else (passive, passive)
         most, along = at(high)
-        known_at, known = [low, high], [least, most]  # activations, and the forces there
+        tried, forces = [low, high], [least, most]  # activations, and what they give
 
         def on_chords(
             slope: np.ndarray, near: np.ndarray | None = None
@@ -331,8 +331,8 @@ class _Share:
         found, activation, wanted = on_chords(slope)
         for _ in range(ROUNDS - 1):
             force, along = at(activation, along)
-            known_at, known = [*known_at, activation], [*known, force]
-            needed = between(np.array(known), np.array(known_at), wanted)
+            tried, forces = [*tried, activation], [*forces, force]
+            needed = between(np.array(forces), np.array(tried), wanted)
             chord = (wanted - least) / np.maximum(needed - low, NARROW)
             slope = np.where(activation > low, chord, slope)
             found, activation, wanted = on_chords(slope, found.dual)
