@@ -31,7 +31,7 @@ STAMP := $(VENV)/.installed
 TEST_STAMP := $(VENV)/.installed-test
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 
-.PHONY: help setup film test fast test-slow scale lint format bench gpu gpu-kit gpu-run rivals opensim opensim-check accuracy parity soak audit docs pictures dist learning test-view clean
+.PHONY: help setup demo test fast test-slow scale lint format bench gpu gpu-kit gpu-run rivals opensim opensim-check accuracy parity soak audit docs pictures dist learning test-view clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s  %s\n", $$1, $$2 }' Makefile
@@ -59,9 +59,9 @@ $(TEST_STAMP): $(STAMP)
 	@set -o pipefail; $(PIP) install --progress-bar off -e ".[test]" | awk '/Downloading|Installing collected/ { print substr($$0, 1, 100); fflush() }'
 	@touch $@
 
-film: setup ## Film 256 trained hands that reach for targets: success rate, out/film.mp4
+demo: setup ## Film 256 trained hands that reach for targets: success rate, out/demo.mp4
 	@mkdir -p out
-	$(BIN)/myowarp rollout MyoWarp/myoHandReachRandom-v1 --policy baselines/myoHandReachRandom-v0 --num-worlds 256 --video out/film.mp4 --overwrite
+	$(BIN)/myowarp rollout MyoWarp/myoHandReachRandom-v1 --policy baselines/myoHandReachRandom-v0 --num-worlds 256 --video out/demo.mp4 --overwrite
 
 test: lint fast ## Check format, lint and types, then run the fast tests (what CI runs)
 
