@@ -35,7 +35,7 @@ def refusing_other_sites() -> Iterator[None]:
 def check_refusal(port: int) -> None:
     """Raise RuntimeError if a page of another site may use the socket at a port of this machine."""
     try:
-        connect(f"ws://127.0.0.1:{port}", origin=FOREIGN, open_timeout=None).close()  # type: ignore[arg-type]
+        connect(f"ws://127.0.0.1:{port}", origin=FOREIGN, open_timeout=None).close()
     except InvalidStatus as refused:
         if refused.response.status_code == FORBIDDEN:
             return
