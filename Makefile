@@ -62,7 +62,6 @@ $(TEST_STAMP): $(STAMP)
 	@touch $@
 
 demo: setup ## Film 256 trained hands that reach for targets: success rate, out/demo.mp4
-	@mkdir -p out
 	$(BIN)/myowarp rollout MyoWarp/myoHandReachRandom-v1 --policy baselines/myoHandReachRandom-v0 --num-worlds 256 --video out/demo.mp4 --overwrite
 
 test: lint fast ## Check format, lint and types, then run the fast tests (what CI runs)

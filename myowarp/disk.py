@@ -36,6 +36,7 @@ T = TypeVar("T")
 logger = logging.getLogger("myowarp")
 SCRATCH = ".myowarp-"
 """Prefix of files that are being written; readers of datasets skip names with a leading dot."""
+NO_FILE = "is no file and is left alone; choose another name"
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 NUMBER = re.compile(r"[ \t]*[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?[ \t]*")
 OURS = frozenset({"myowarp", "abc", "builtins"})
@@ -47,13 +48,16 @@ def in_place(path: Path) -> Iterator[Path]:
     """Give the path of a scratch file beside `path`, and move it to `path` if the block succeeds.
 
     Otherwise the scratch file is deleted, and what was at `path` stays. A link at `path` is replaced; what it
-    points to is left alone.
+    points to is left alone. A folder that does not exist is made.
 
     Raises:
         OSError: Nothing can be written there, in one sentence that names the path.
+        ValueError: The folder cannot be made.
     """
     if path.exists() and not path.is_file():
-        raise OSError(f"output {str(path)!r} is no file and is left alone; choose another name")
+        raise OSError(f"output {str(path)!r} {NO_FILE}")
+    if not path.parent.exists():
+        make_folder(path.parent)
     with naming(path):
         handle, name = tempfile.mkstemp(suffix=path.suffix, prefix=SCRATCH, dir=path.parent)
         scratch = Path(name)
@@ -94,7 +98,7 @@ def naming(path: Path) -> Iterator[None]:
         ours = Path(str(error.filename or "")).name.startswith(SCRATCH)
         if not (ours or error.errno in NO_ROOM):
             raise
-        remedy = "make room there" if error.errno in NO_ROOM else "its folder must exist and be writable"
+        remedy = "make room there" if error.errno in NO_ROOM else "its folder must be writable"
         why = os.strerror(error.errno) if error.errno else type(error).__name__
         raise OSError(
             f"output {str(path)!r} cannot be written ({why}); {remedy}, or choose another folder"
@@ -223,14 +227,15 @@ def check_output(path: Path | None, *suffixes: str) -> None:
         suffixes: Endings that it may have.
 
     Raises:
-        ValueError: Wrong suffix, no such folder, or no permission.
+        ValueError: Wrong suffix, no file, no folder that could be made, or no permission.
     """
     if path is None:
         return
     if path.suffix.lower() not in suffixes:
         raise ValueError(f"output {str(path)!r} must end in {' or '.join(suffixes)}")
-    if path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
-        raise ValueError(f"output {str(path)!r} cannot be written; its folder must exist and be writable")
+    if path.exists() and not path.is_file():
+        raise ValueError(f"output {str(path)!r} {NO_FILE}")
+    check_folder(path.parent)
 
 
 def check_overwrite(paths: Iterable[Path | None], overwrite: bool, other: str = "name") -> None:

@@ -138,6 +138,7 @@ class Effect:
         columns: Blocks that it appends to the observation.
         terms: Reward terms that it appends.
         info: Arrays (num_worlds, ...) of the condition's state by name, shown in the environment's `info`.
+        info_units: Units of those of them that are no pure numbers.
         scene: Where it acts; with parameters that are drawn it must be set.
         drawn: Parameters of which new values are drawn where episodes open.
     """
@@ -147,6 +148,7 @@ class Effect:
     columns: tuple[Column, ...] = ()
     terms: tuple[RewardTerm, ...] = ()
     info: dict[str, wp.array] = {}  # noqa: RUF012 (replaced, never changed)
+    info_units: dict[str, str] = {}  # noqa: RUF012 (the same)
 
     def check_beside(self, effects: Sequence[Effect]) -> None:
         """Raise ValueError, in one sentence, if it cannot act beside the other effects of the scene."""

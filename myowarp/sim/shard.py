@@ -75,6 +75,7 @@ class Shard:
         weights: Weights of the reward terms, shape (num_terms,).
         shown: What conditions show of their state, by name, (num_worlds, ...).
         info: The same after the step, resets included.
+        info_units: Units of those that are no pure numbers.
         starts: Random starts, shape (num_starts, num_coordinates); None where episodes start otherwise.
         start_address: Which of `qpos` they are, shape (num_coordinates,).
         step_graph: What `step` replays; None without a graph.
@@ -197,6 +198,7 @@ class Shard:
         self._draft = wp.zeros_like(self.transition.obs)  # observations, checked before anyone sees them
         self.shown = {name: array for effect in self.effects for name, array in effect.info.items()}
         self.info = {name: scene.worlds.rows(f"info.{name}", array) for name, array in self.shown.items()}
+        self.info_units = {name: unit for effect in self.effects for name, unit in effect.info_units.items()}
         self._asked, self._seeded = wp.zeros(n, dtype=bool), False
         self._settling = wp.zeros(n, dtype=bool)
         self._countdown = wp.zeros(1, dtype=int)

@@ -80,6 +80,7 @@ class Simulation:
         episode: Counters of the present episodes.
         masks: Which worlds were stepped and are healthy (`live`), and which were reset.
         info: What conditions show of their state after the step, by name, (num_worlds, ...).
+        info_units: Units of those that are no pure numbers, by name.
     """
 
     @with_build_lock
@@ -158,6 +159,7 @@ class Simulation:
         self.episode = worlds.join("episode", EpisodeState())
         self.masks = worlds.join("masks", Masks())
         self.info = {name: worlds.whole[f"info.{name}"] for name in first.info}
+        self.info_units = first.info_units
         self._together: Callable[[tuple[Replay, ...]], Replay] | None = None
         self._pool: ThreadPoolExecutor | None = None
         self._process = os.getpid()

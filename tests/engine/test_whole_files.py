@@ -80,14 +80,19 @@ def test_other_errors_of_a_block_are_its_own(tmp_path):
         (tmp_path / "nowhere").read_text()
     with pytest.raises(BrokenPipeError), in_place(tmp_path / "a"):
         raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+    (tmp_path / "file").touch()
     with (
-        pytest.raises(
-            OSError, match=r"'.*none/a' cannot be written \(No such file or directory\); its folder"
-        ),
-        in_place(tmp_path / "none/a"),
+        pytest.raises(OSError, match=r"'.*file/a' cannot be written \(Not a directory\); its folder must"),
+        in_place(tmp_path / "file/a"),
     ):
         pass
-    assert not any(tmp_path.iterdir())
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_folder_is_made(tmp_path):
+    with in_place(tmp_path / "new/folder/a") as scratch:
+        scratch.touch()
+    assert (tmp_path / "new/folder/a").is_file()
 
 
 def test_links_are_replaced_and_not_followed(tmp_path):

@@ -389,17 +389,13 @@ BAD = {
     ),
     "wrong suffix": (["rollout", ELBOW, "--save", "data.csv"], "output 'data.csv' must end in .npz"),
     "wrong video": (["rollout", ELBOW, "--video", "film.avi"], "output 'film.avi' must end in .mp4 or .gif"),
-    "no folder": (
-        ["rollout", ELBOW, "--save", "none/data.npz"],
-        "output 'none/data.npz' cannot be written; its folder must exist and be writable",
-    ),
     "a folder": (
         ["rollout", ELBOW, "--video", "folder.mp4"],
-        "output 'folder.mp4' cannot be written; its folder must exist and be writable",
+        "output 'folder.mp4' is no file and is left alone; choose another name",
     ),
     "no permission": (
         ["rollout", ELBOW, "--save", "locked/data.npz"],
-        "output 'locked/data.npz' cannot be written; its folder must exist and be writable",
+        "output 'locked' cannot be written; it must be a folder, or a new one, and writable",
     ),
 }
 BAD_LATER = {

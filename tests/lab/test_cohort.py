@@ -265,6 +265,7 @@ def test_files_read_back(five, tmp_path):
     np.testing.assert_allclose(summary["final_error"], five.summary["final_error"])
     settings = pd.read_json(paths[2], typ="series")
     assert settings["units"]["final_error"] == "rad"
+    assert settings["units"]["mean_exo_torque"] == settings["units"]["exo_torque"] == "N m"
     assert (settings["seed"], settings["trials"], settings["policy"]) == (3, 2, "hold")
     five.save(folder, ".csv")
     table = pd.read_csv(folder / "results.csv")

@@ -304,8 +304,6 @@ def prepare(folder, page, lines):
     patients.write_text("".join(patients.read_text().splitlines(keepends=True)[:PATIENTS]))
     shutil.copy(ROOT / "tests/data/osim/arm26.osim", folder)
     (folder / "my_tasks.py").write_text("".join(blocks(page, "python")))
-    if any("--signals out/" in line for line in lines):
-        (folder / "out").mkdir()  # earlier blocks of the page made it; a rollout does not
     if any("my_agent.py" in line for line in lines):
         save_agent(folder)
         (own,) = (block for block in blocks(page, "python") if "def act(obs)" in block)

@@ -235,7 +235,7 @@ def test_a_full_disk_ends_an_export_with_a_sentence(trained, tmp_path, run, name
             "torch",
             f"need torch, which is not installed; run {to_install('torch')}",
         ),
-        ("nowhere/policy.pt", None, "its folder must exist and be writable"),
+        ("there.onnx/policy.pt", None, "it must be a folder, or a new one, and writable"),
         ("there.onnx", None, "exists; choose another name, or replace it with --overwrite"),
         ("new.onnx", None, "holds no checkpoint"),
     ],

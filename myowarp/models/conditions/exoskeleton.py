@@ -142,6 +142,7 @@ class ExoskeletonEffect(Effect):
         self.exo = scene.oracle.actuator(NAME).id
         self.torque = scene.zeros("condition.exoskeleton.torque")
         self.info = {"exo_torque": self.torque}
+        self.info_units = {"exo_torque": "N m"}
 
     def reset(self, mask: wp.array) -> None:
         """Show no torque."""

@@ -365,15 +365,18 @@ class JointDeviceEffect(Effect):
         self.drawn = (*self.parameters.values(), self.sphere.mass)
         self.torque = scene.zeros(f"{owner}.torque")
         self.command = scene.zeros(f"{owner}.command", 2)  # the last one, and the one that acts
-        self.info = {f"{condition.joint or 'brace'}_device_torque": self.torque}
+        found = scene.oracle.joint(joint)
+        shown = f"{condition.joint or 'brace'}_device_torque"
+        self.info = {shown: self.torque}
+        self.info_units = {shown: "N m" if found.type[0] == mujoco.mjtJoint.mjJNT_HINGE else "N"}
         steps = int(np.ceil(condition.delay / scene.control_dt - 1e-6))
         self.pending = scene.zeros(f"{owner}.pending", max(steps, 1))
         device = self.device = Device()
         device.actuatorid = scene.oracle.actuator(sphere.name).id
-        device.dof = int(scene.oracle.joint(joint).dofadr[0])
+        device.dof = int(found.dofadr[0])
         device.muscle_actuators = wp.array(scene.muscles.actuator_id, dtype=int)
-        for name, found in self.parameters.items():
-            setattr(device, name, found.curve)
+        for name, value in self.parameters.items():
+            setattr(device, name, value.curve)
         device.rest, device.limit = float(condition.rest), float(condition.limit)
         device.motor, device.delay, device.period = bool(condition.motor), steps, float(condition.period)
         times, shares = np.array(condition.profile, dtype=float).T

@@ -34,7 +34,7 @@ FORMATS = (".parquet", ".csv")
 FORMULA = re.compile(r"^'*[=+\-@]")  # how a formula of a spreadsheet begins, or one that was made harmless
 
 UNITS = {"time": "s", "total_force": "N", "time_to_solve": "s", "duration": "s"} | WHOLE_BODY_UNITS
-"""Units of results but for the tracking error's, which is the task's; the others are pure numbers."""
+"""Units of results, but for the tracking error and what conditions show; those without one are pure numbers."""
 
 
 def tracking_blocks(columns: Iterable[Column]) -> tuple[list[slice], str]:
@@ -292,6 +292,9 @@ class _Tally(Watcher):
         error = (
             dict.fromkeys(("tracking_error", "mean_error", "final_error"), self._unit) if self._blocks else {}
         )
+        shown = {
+            column: unit for name, unit in self._sim.info_units.items() for column in (name, f"mean_{name}")
+        }
         return {
             "myowarp": version("myowarp"),
             "task": scene.spec.env_id,
@@ -308,5 +311,5 @@ class _Tally(Watcher):
             "body_mass": self._signals.body_mass,
             "conditions": [condition.name for condition in self._sim.conditions],
             "columns": list(plan.population.entries),
-            "units": UNITS | self._economy.units | error,
+            "units": UNITS | self._economy.units | shown | error,
         }
