@@ -34,7 +34,7 @@ FORMATS = (".parquet", ".csv")
 FORMULA = re.compile(r"^'*[=+\-@]")  # how a formula of a spreadsheet begins, or one that was made harmless
 
 UNITS = {"time": "s", "total_force": "N", "time_to_solve": "s", "duration": "s"} | WHOLE_BODY_UNITS
-"""Units of results, but for the tracking error and what conditions show; those without one are pure numbers."""
+"""Units of results, but for the tracking error and what conditions show; all others are pure numbers."""
 
 
 def tracking_blocks(columns: Iterable[Column]) -> tuple[list[slice], str]:
