@@ -627,4 +627,5 @@ def test_a_model_without_a_task_has_no_success(run, tmp_path):
     assert status == 0, err
     assert "episodes" in out
     assert "uccess" not in out
-    assert json.loads(run("rollout", *options, "--json")[1])["success_percent"] is None
+    figures = json.loads(run("rollout", *options, "--json")[1])
+    assert [figures[name] for name in ("return_mean", "return_std", "success_percent")] == [None] * 3

@@ -446,9 +446,9 @@ def test_effort_saved_by_a_newton_metre():
     np.testing.assert_allclose(drawn[0].get_images()[0].get_array(), np.degrees(0.1))
     assert {text.get_text().split("\n")[0] for text in drawn[0].texts} == {"5.7"}
     said = " ".join(figure.get_supxlabel().split())
-    assert "proportional controller of fixed gain" in said
+    assert "`hold` has no integral part" in said
     other = assistance.assistance_map(summary, settings | {"task": ELBOW, "policy": "baseline"})
-    assert "proportional" not in other.get_supxlabel()
+    assert "integral" not in other.get_supxlabel()
     worst = np.array([axes.get_images()[0].cmap(1.0)[:3] for axes in drawn])
     assert (worst[:2, 0] > worst[:2, 2]).all(), "red outweighs blue where much is bad"
     assert worst[2, 2] > worst[2, 0], "and not where much is good"

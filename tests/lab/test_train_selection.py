@@ -130,7 +130,7 @@ def test_the_last_selection_stops_a_run(scripted, tmp_path):
     wanted += [(0.89, 1.0), (0.91, 0.0)]
     report = run_of(tmp_path)
     assert (report["ended"], report["samples"]) == (
-        "with mean actions at least 90.0 % of the episodes: more than 5 solved steps, no failure",
+        "at least 90.0 % of the episodes succeeded with mean actions (more than 5 solved steps, no failure)",
         4 * ITERATION,
     )
     assert report["success"] != report["success"]  # no episode of the training has ended
@@ -164,7 +164,7 @@ def test_the_rule_that_stops_is_the_one_that_selects(scripted, tmp_path):
     wanted += [(0.95, 1.0), (1.0, 0.0)]
     report = run_of(tmp_path, stop_rule="success_last", stop_success=0.5)
     assert (report["ended"], report["samples"]) == (
-        "with mean actions at least 50.0 % of the episodes: solved on the last step",
+        "at least 50.0 % of the episodes succeeded with mean actions (solved on the last step)",
         4 * ITERATION,
     )
     assert report["selection"]["best"]["success"] == 0.5

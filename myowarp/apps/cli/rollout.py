@@ -85,7 +85,7 @@ class Rollout:
             watchers = [watcher for watcher in (trace, recorder, film, fall) if watcher is not None]
             summary = roll_out(sim, policy, steps, *watchers, console=console)
         if isinstance(asked.task, Path):  # its poses are no task that somebody has set
-            summary = dataclasses.replace(summary, success_percent=None)
+            summary = dataclasses.replace(summary, return_mean=None, return_std=None, success_percent=None)
         _report(dataclasses.asdict(summary), spec, self.json)
         if text := fall.text():
             console.print(text, style="yellow", markup=False, soft_wrap=True)

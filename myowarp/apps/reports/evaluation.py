@@ -317,7 +317,7 @@ def passing(success: float, last: float) -> str:
         return ""
     return (
         f"{100 * success:.0f} % succeed by the rule, but {100 * last:.0f} % are at the goal on the last "
-        "step: the others pass through it"
+        f"step: at least {100 * (success - last):.0f} % pass through it"
     )
 
 

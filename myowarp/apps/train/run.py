@@ -213,7 +213,8 @@ def _end(run: Run, selection: Selection) -> str:
     if reached:
         actions = "mean" if settings.selections else "drawn"
         share = f"{100 * settings.stop_success:.1f} %"
-        return f"with {actions} actions at least {share} of the episodes: {SUCCESSES[settings.stop_rule]}"
+        rule = SUCCESSES[settings.stop_rule]
+        return f"at least {share} of the episodes succeeded with {actions} actions ({rule})"
     return "all samples" if run.samples >= settings.samples else ""
 
 

@@ -36,7 +36,7 @@ CAPTION = (
     "episode. Saved: effort without assistance less effort, at the same strength, in points, over the size "
     "of the mean torque of the exoskeleton. Orange: the darker, the worse; blue: the darker, the better."
 )
-HOLD = " Errors are those of a proportional controller of fixed gain, not of people."
+HOLD = " `hold` has no integral part: part of each error is its own."
 
 
 def read_summary(folder: Path) -> tuple[pd.DataFrame, dict[str, Any]]:

@@ -33,8 +33,8 @@ PADS = "figure.constrained_layout."
 LOOK = {"axes.grid": False, PADS + "h_pad": 0.08, PADS + "w_pad": 0.06}
 CAPTION = (
     "Top: share of successful episodes (more than 5 solved steps, no failure), n patients. "
-    "Middle: each dot is a patient; median and middle half of tenths of the patients, or of those with "
-    "one entry. Bottom: median and middle half of the groups at the top, over time."
+    "Middle: each dot is a patient; median and quartiles of ten groups of patients, or of each entry. "
+    "Bottom: median and quartiles of the groups at the top, over time."
 )
 
 
