@@ -298,7 +298,7 @@ class MotionForces(AlongMotion):
         table = parts.reshape(len(self.motion.time), -1)
         yield "joint_reactions", self._titled("joint reactions, N, N m and m"), labels, table
         yield self._along("reserves", "what reserves and motors give, N m and N", found.reserve)
-        yield self._along("missing", "what nobody gives, N m and N", found.missing)
+        yield self._along("missing", "left unbalanced by muscles and reserves, N m and N", found.missing)
 
 
 @dataclass(frozen=True, eq=False)

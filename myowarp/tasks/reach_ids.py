@@ -77,8 +77,8 @@ def hand_random_v0() -> ReachTask:
 def hand_random() -> ReachTask:
     """Bring all five fingertips to points drawn anew each episode, all within reach at once.
 
-    In v0, as in MyoSuite 3.0.0, five in six targets are not: the best posture leaves the thumb up to 6 cm
-    off.
+    In v0, as in MyoSuite 3.0.0, the tips cannot reach five in six targets at once: the best posture leaves
+    the thumb up to 6 cm off.
     """
     return replace(bring_tips(HAND_LOW, HAND_HIGH), table=reach_targets.solved)
 

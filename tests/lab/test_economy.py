@@ -260,7 +260,7 @@ def test_eval_prints_rules_units_and_one_episode(capsys, monkeypatch):
         assert text in said
     assert said.count("100 % (one episode)") == 1 + said.count("100.0 % (50.0 to 100.0)") == 4
     assert "metabolic rate, Bhargava 2004 [W/kg of the model, 1.49 kg]" in said
-    passed = "sampled: 100 % succeed by the rule, but 25 % are at the goal on the last step"
+    passed = "sampled: 100 % succeed (more than 5 solved steps, no failure), but 25 % are at the goal"
     assert said.count(passed) == said.count("pass through") == 1
     assert "more than 5 solved steps, failed or not (MyoSuite)" in said
     assert re.search(r"return +│ 20.0 +│ 20.0 ± 0.0", said)

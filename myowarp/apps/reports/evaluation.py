@@ -316,8 +316,8 @@ def passing(success: float, last: float) -> str:
     if success - last < FAR:
         return ""
     return (
-        f"{100 * success:.0f} % succeed by the rule, but {100 * last:.0f} % are at the goal on the last "
-        f"step: at least {100 * (success - last):.0f} % pass through it"
+        f"{100 * success:.0f} % succeed ({SUCCESSES['success']}), but {100 * last:.0f} % are at the goal "
+        f"on the last step: at least {100 * (success - last):.0f} % pass through it"
     )
 
 

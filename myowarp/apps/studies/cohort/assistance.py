@@ -33,8 +33,9 @@ LEAST_TORQUE = 1e-3
 """N m: with less, nothing is said of what a newton metre saves."""
 CAPTION = (
     "Medians over the patients of a cell, n episodes. Effort: mean activation of all muscles over the "
-    "episode. Saved: effort without assistance less effort, at the same strength, in points, over the size "
-    "of the mean torque of the exoskeleton. Orange: the darker, the worse; blue: the darker, the better."
+    "episode. Saved: effort without assistance minus effort with it, at the same strength, in percentage "
+    "points, divided by the exoskeleton's mean torque. "
+    "Orange: the darker, the worse; blue: the darker, the better."
 )
 HOLD = " `hold` has no integral part: part of each error is its own."
 

@@ -110,7 +110,9 @@ def figures(result: CohortResult) -> Table:
     if "final_error" in summary:
         low, middle, high = summary["final_error"].quantile([0.25, 0.5, 0.75])
         unit = settings["units"]["final_error"]
-        rows["error in the last quarter of the episode"] = f"median {middle:.3g} {unit} (quartiles {low:.3g}, {high:.3g})"
+        rows["error in the last quarter of the episode"] = (
+            f"median {middle:.3g} {unit} (quartiles {low:.3g}, {high:.3g})"
+        )
     rows["mean activation"] = f"{summary['mean_activation'].mean():.3f}"
     walks = "speed" in settings["units"]  # rates of a part of a person are in the files alone
     known = {name: summary[name].mean() for name in ECONOMY if walks}

@@ -50,7 +50,7 @@ QUANTITIES = {
     "activation": ("activations", "activations"),
     "force": ("forces", "forces of muscles, N"),
     "reserve": ("reserves", "what reserves and motors give, N m and N"),
-    "missing": ("missing", "what nobody gives, N m and N"),
+    "missing": ("missing", "left unbalanced by muscles and reserves, N m and N"),
 }
 """First part of a column of the results: file, and what it is."""
 
