@@ -294,6 +294,7 @@ def test_a_device_acts_where_it_is_worn():
     """On both ankles, until another joint is chosen; what is no joint of the list changes nothing."""
     joints = ("ankle_angle_r", "ankle_angle_l", "knee_angle_l")
     knobs = [Knob("joint_device", "peak", None, -50.0, 50.0, joint) for joint in joints]
+    knobs.append(Knob("tendon_tear", "transmission", None, 0.0, 1.0, "ECRL_r, ECRB_r"))  # no list of one
     torque = dict.fromkeys(knobs, 0.0)
     patient = SimpleNamespace(
         knobs={knob.name: knob for knob in knobs},
@@ -315,12 +316,13 @@ def test_a_device_acts_where_it_is_worn():
             until(lambda: (live.obey(), done())[1])
 
         assert client.parts[client.uuid("worn at")]["value"] == "both: ankle"
-        ask("motor [N m]", 20.0, lambda: list(torque.values()) == [20.0, 20.0, 0.0])
+        ask("motor [N m]", 20.0, lambda: list(torque.values()) == [20.0, 20.0, 0.0, 0.0])
         ask("worn at", "left knee", lambda: client.parts[client.uuid("worn at")]["value"])
-        ask("motor [N m]", -5.0, lambda: list(torque.values()) == [20.0, 20.0, -5.0])
+        ask("motor [N m]", -5.0, lambda: list(torque.values()) == [20.0, 20.0, -5.0, 0.0])
         ask("worn at", "third knee", lambda: live.message.startswith("worn at 'third knee' unknown"))
         ask("motor [N m]", 99.0, lambda: live.message == "joint_device peak must be from -50 to 50, got 99")
-        assert list(torque.values()) == [20.0, 20.0, -5.0]
+        assert list(torque.values()) == [20.0, 20.0, -5.0, 0.0]
+        assert [part.get("label") for part in client.parts.values()].count("worn at") == 1
         client.leave()
     finally:
         close_server(server)

@@ -88,7 +88,7 @@ class PatientTab:
         (condition,), at = {knob.condition for knob in knobs}, dict.fromkeys(knob.place for knob in knobs)
         offered = places(tuple(at)) if any(at) else {"": ("",)}
         self._places[condition] = next(iter(offered.values()))
-        if any(at):
+        if len(offered) > 1:
             named = lambda: next(n for n, own in offered.items() if own == self._places[condition])  # noqa: E731
 
             def move(name: str) -> None:
