@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 INK, GRID, BORDER = "#1f2937", "#e5e7eb", "#9ca3af"
-LEFT, RIGHT, TOP, BOTTOM = 44, 8, 20, 20
+LEFT, RIGHT, TOP, BOTTOM = 52, 8, 20, 20
 """px around a curve's area."""
 CHARACTER = 6
 """px of a character, about."""
