@@ -142,7 +142,7 @@ class ReorientTask(TaskSpec):
     """
 
     program: ClassVar[type] = ReorientProgram
-    title: ClassVar[str] = "Hand reorient"
+    title: ClassVar[str] = "Object reorient"
     shown: ClassVar[Shown | None] = Shown(
         "Random actions: no policy has been trained for these objects.",
         "myoHandReorient100-v0",
