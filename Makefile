@@ -31,7 +31,8 @@ STAMP := $(VENV)/.installed
 TEST_STAMP := $(VENV)/.installed-test
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 # No byte code beforehand: half of the time of installing; Python makes it of what is imported.
-INSTALL := $(PIP) install --no-compile --progress-bar off
+# pip's log is cut to one line per download; its errors go to stderr and stay complete.
+install = set -o pipefail; $(PIP) install --no-compile --progress-bar off -e ".[$(1)]" | awk '/Downloading|Installing collected/ { print substr($$0, 1, 100); fflush() }'
 
 .PHONY: help setup demo test fast test-slow scale lint format bench gpu gpu-kit gpu-run rivals opensim opensim-check accuracy parity soak audit docs pictures dist learning test-view clean
 
@@ -40,7 +41,6 @@ help: ## Show this list
 
 setup: $(STAMP) ## Create .venv and install MyoWarp with the development tools
 
-# pip's log is cut to one line per download; its errors go to stderr and stay complete.
 $(STAMP): pyproject.toml
 	@command -v $(PYTHON) >/dev/null || { \
 	  echo "MyoWarp needs Python 3.11 or newer; '$(PYTHON)' was not found. Choose one: make PYTHON=/path/to/python3.11 setup" >&2; exit 1; }
@@ -52,13 +52,13 @@ $(STAMP): pyproject.toml
 	@$(PYTHON) -m venv $(VENV)
 	@$(PIP) install --quiet --upgrade pip
 	@echo "Installing MyoWarp and its dependencies (a few hundred megabytes the first time)"
-	@set -o pipefail; $(INSTALL) -e ".[dev]" | awk '/Downloading|Installing collected/ { print substr($$0, 1, 100); fflush() }'
+	@$(call install,dev)
 	@touch $@
 	@echo "Ready: $(BIN)/myowarp --help"
 
 $(TEST_STAMP): $(STAMP)
 	@echo "Installing what the tests need besides: torch and the trainers (with CUDA libraries several gigabytes)"
-	@set -o pipefail; $(INSTALL) -e ".[test]" | awk '/Downloading|Installing collected/ { print substr($$0, 1, 100); fflush() }'
+	@$(call install,test)
 	@touch $@
 
 demo: setup ## Film 256 trained hands that reach for targets: success rate, out/demo.mp4

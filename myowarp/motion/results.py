@@ -29,6 +29,9 @@ from myowarp.osim.body.model_forces import acts, left_out
 from myowarp.osim.body.muscle_paths import MusclePaths
 from myowarp.osim.body.skeleton import Bones
 
+RESERVES = "what reserves and motors give, N m and N"
+MISSING = "left unbalanced by muscles and reserves, N m and N"
+
 
 class Result(ABC):
     """A step's result, of all of a motion or of a part of it."""
@@ -297,8 +300,8 @@ class MotionForces(AlongMotion):
         parts = np.concatenate([reactions.force, reactions.moment, reactions.point], axis=2)
         table = parts.reshape(len(self.motion.time), -1)
         yield "joint_reactions", self._titled("joint reactions, N, N m and m"), labels, table
-        yield self._along("reserves", "what reserves and motors give, N m and N", found.reserve)
-        yield self._along("missing", "left unbalanced by muscles and reserves, N m and N", found.missing)
+        yield self._along("reserves", RESERVES, found.reserve)
+        yield self._along("missing", MISSING, found.missing)
 
 
 @dataclass(frozen=True, eq=False)
@@ -333,4 +336,4 @@ class TrackedMotion(AlongMotion):
             ("forces", "forces of muscles, N", found.force),
         ):
             yield name, self._titled(title), found.muscles, values[:, 0]
-        yield self._along("reserves", "what reserves and motors give, N m and N", found.reserve[:, 0])
+        yield self._along("reserves", RESERVES, found.reserve[:, 0])

@@ -31,6 +31,7 @@ from myowarp.disk import check_folder, in_place, locked, make_folder, sentence, 
 from myowarp.extras import check_installed
 from myowarp.motion.draws import Drawn, Recording, draw_trial
 from myowarp.motion.residuals import SMALL, Residuals
+from myowarp.motion.results import MISSING, RESERVES
 from myowarp.motion.storage import Storage, write_storage
 from myowarp.process import num_cores
 from myowarp.progress import progress_bar
@@ -49,8 +50,8 @@ QUANTITIES = {
     "moment": ("moments", "joint moments, N m and N"),
     "activation": ("activations", "activations"),
     "force": ("forces", "forces of muscles, N"),
-    "reserve": ("reserves", "what reserves and motors give, N m and N"),
-    "missing": ("missing", "left unbalanced by muscles and reserves, N m and N"),
+    "reserve": ("reserves", RESERVES),
+    "missing": ("missing", MISSING),
 }
 """First part of a column of the results: file, and what it is."""
 
