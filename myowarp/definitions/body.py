@@ -111,6 +111,7 @@ class Body:
         devices: Joints at which a page offers a device, beside that of an exoskeleton.
         transfer: What a tendon transfer is about; None where there is none.
         torn: Muscles that a tendon tear is about where it names none.
+        antagonists: Pairs of a flexor and an extensor whose nerves can be crossed; None where there are none.
         approach: Muscles that bend and spread it; a posture that is reached from there is more often stable.
             The policy "muscle-control" begins with them.
         muscles: Parameters of its muscles beside those in the model, for the muscle model that they name.
@@ -131,6 +132,7 @@ class Body:
     devices: tuple[str, ...] = ()
     transfer: Transfer | None = None
     torn: tuple[str, ...] = ()
+    antagonists: tuple[tuple[str, str], ...] | None = None
     approach: tuple[str, ...] = ()
     muscles: MuscleTable | None = field(default=None, repr=False)
     muscle: str = "mujoco"

@@ -214,6 +214,7 @@ def _columns() -> Registry[CohortColumn]:
         ),
         "tendon_transfer": Switch("tendon_transfer", "affected", "Tendon transfer"),
         "reafferentation": Switch("reafferentation", "affected", "Reafferentation"),
+        "nerve_crossing": Switch("nerve_crossing", "affected", "Nerve crossing"),
         "tendon_tear": TornMuscles("tendon_tear", "muscles", "Torn tendon"),
         "tear_time": CohortColumn(
             "tendon_tear", "time", "Time of the tear", "s", changes=False, of="tendon_tear"

@@ -28,6 +28,7 @@ ELBOW = BODIES.add(
         groups=GROUPS,
         fatigue_rates=FATIGUE_RATES,
         load=LOAD,
+        antagonists=(("BIClong", "TRIlong"), ("BICshort", "TRIlat"), ("BRA", "TRImed")),
         exoskeleton=Brace("r_elbow_flex", FOREARM),
     ),
 )

@@ -54,6 +54,7 @@ BODIES.add(
         coarse_step=CoarseStep(0.020 / 6, 0.6),
         groups=GROUPS,
         fatigue_rates=dict.fromkeys(GROUPS, HAND),
+        antagonists=(("dflx", "extn"),),
     ),
 )
 BODIES.add("motor_finger", Body(motor_finger, tips=("IFtip",), title="finger with motors"))

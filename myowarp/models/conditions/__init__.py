@@ -11,6 +11,7 @@ from myowarp.models.conditions.fatigue_ma2009 import FatigueMa2009
 from myowarp.models.conditions.joint_device import JointDevice
 from myowarp.models.conditions.load import Load
 from myowarp.models.conditions.motor_noise import MotorNoise
+from myowarp.models.conditions.nerve_crossing import NerveCrossing
 from myowarp.models.conditions.pelvis_support import PelvisSupport
 from myowarp.models.conditions.reafferentation import Reafferentation
 from myowarp.models.conditions.sarcopenia import Sarcopenia
@@ -28,6 +29,7 @@ __all__ = [
     "JointDevice",
     "Load",
     "MotorNoise",
+    "NerveCrossing",
     "PelvisSupport",
     "Phase",
     "Ramp",
