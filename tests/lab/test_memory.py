@@ -100,3 +100,19 @@ def test_a_memory_that_is_not_observed_is_said(student):
         played(student, simulation())
     with pytest.raises(CheckpointError, match=r"it was trained with --observe history=4$"):
         played(student, simulation("history=2"))
+
+
+def test_a_function_is_told_without_observing(tmp_path):
+    """What it is told is the block of worlds that observe parameters, before and after the change."""
+    (tmp_path / "teacher.py").write_text("def act(obs, told):\n    return told[:, :6]\n")
+    name = f"{tmp_path}/teacher.py:act"
+    plain, observing = simulation(), simulation("parameters")
+    act, seen = acting(find_policy(name, TASKS[TASK]), plain), []
+    for _ in range(24):
+        seen.append(observing.transition.obs.numpy()[:, observing.blocks["parameters"]].copy())
+        np.testing.assert_array_equal(act(plain.transition.obs.numpy()), seen[-1])
+        for sim in (plain, observing):
+            sim.step()
+    assert np.abs(seen[-1] - seen[0]).min() > 0.3
+    with pytest.raises(ValueError, match="needs conditions, which have them; got none"):
+        acting(find_policy(name, TASKS[TASK]), simulation(conditions=()))

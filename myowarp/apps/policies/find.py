@@ -1,12 +1,14 @@
 """Policies by name: built in, trained, recorded or the user's own.
 
 A policy is a function of the observations, shape (num_worlds, obs_size), that returns actions in [-1, 1],
-shape (num_worlds, num_actions). One that remembers takes `begins`, too: which worlds begin an episode.
+shape (num_worlds, num_actions). One that remembers takes `begins`, too: which worlds begin an episode. One
+that takes `told` is told the parameters of the conditions, as a teacher is (`--expert` of DAgger).
 """
 
 import inspect
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,7 @@ import numpy as np
 from myowarp.apps.policies.baselines import OWN, PREFIX, policy_folder
 from myowarp.apps.policies.checkpoint import Checkpoint
 from myowarp.apps.policies.hold import Hold, check_hold
-from myowarp.apps.policies.learned import Act, Bound, begins, read_policy
+from myowarp.apps.policies.learned import Act, Bound, Parameters, begins, read_policy
 from myowarp.apps.policies.muscle_control import MuscleControl, check_muscle_control
 from myowarp.apps.policies.reflex import Gait, ReflexControl, check_conditions, is_gait, read_gait
 from myowarp.apps.policies.replay import Replay, is_replay
@@ -41,7 +43,7 @@ class Policy:
 
     Attributes:
         name: How the user called it.
-        act: Function of the observations, and of `begins` if it has a parameter of that name; None for the
+        act: Function of the observations, and of `begins` and `told` if it has such parameters; None for the
             built-in policies.
         checkpoint: What was trained; None for all others.
         excitations: Excitations over time; None for all others.
@@ -118,11 +120,15 @@ def acting(policy: Policy, sim: Simulation) -> Act:
         check_conditions(policy.name, policy.gait, sim)
         return ReflexControl(policy.gait.values[None], policy.gait.delays, sim)
     if act is not None:
-        remembers = "begins" in _parameters(act)
+        names, senses = _parameters(act), dict[str, Callable[[], np.ndarray]]()
+        if "begins" in names:
+            senses["begins"] = partial(begins, sim)
+        if "told" in names:
+            senses["told"] = Parameters(sim)
 
         def guarded(obs: np.ndarray) -> np.ndarray:
             try:
-                actions = act(obs, begins=begins(sim)) if remembers else act(obs)
+                actions = act(obs, **{name: sense() for name, sense in senses.items()})
             except (ValueError, OSError, RuntimeError, ImportError, StopIteration) as error:
                 raise PolicyError(f"policy {policy.name!r} failed") from error
             if actions is None:  # which would go on with the actions before

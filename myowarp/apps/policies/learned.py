@@ -48,6 +48,18 @@ def begins(sim: Simulation) -> np.ndarray:
     return np.equal(sim.episode.step_count.numpy(), 0)
 
 
+class Parameters:
+    """The parameters of the conditions of a simulation, whether its worlds observe them or not."""
+
+    def __init__(self, sim: Simulation) -> None:
+        """Arrange them."""
+        self._shards = [Told(shard.scene, shard.clock) for shard in sim.shards]
+
+    def __call__(self) -> np.ndarray:
+        """Return what they are now, as `--observe parameters` has it, shape (num_worlds, num_parameters)."""
+        return np.concatenate([shard.now() for shard in self._shards])
+
+
 class LearnedPolicy:
     """Observations (rows, obs_size) to actions (rows, num_actions) in [-1, 1].
 
@@ -188,13 +200,12 @@ class Bound:
         others = sum(column.size for column in sim.columns if column.name not in SENSES)
         same = own == [column.name for column in sim.columns if column.name in SENSES]
         self._blocks = [slice(None)] if same else [slice(others), *(sim.blocks.get(name) for name in own)]
-        untold = PARAMETERS in own and PARAMETERS not in sim.blocks
-        self._told = [Told(shard.scene, shard.clock) for shard in sim.shards if untold]
+        self._told = Parameters(sim) if PARAMETERS in own and PARAMETERS not in sim.blocks else None
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
         """Return actions, shape (num_worlds, num_actions)."""
-        told = [shard.now() for shard in self._told]
-        seen = [np.concatenate(told) if block is None else obs[:, block] for block in self._blocks]
+        told = self._told() if self._told else obs[:, :0]
+        seen = [told if block is None else obs[:, block] for block in self._blocks]
         obs = np.concatenate(seen, axis=1) if len(seen) > 1 else seen[0]
         return self._learned(obs, begins(self._sim) if self._learned.memory else None)
 

@@ -71,7 +71,7 @@ HAND = BODIES.add(
         load=Place("trapezium_r", (-0.011, -0.06, -0.03)),  # myo-sim's site S_grasp_r
         transfer=TRANSFER,
         torn=("FPL",),
-        antagonists=(("FDP2", "EDC2"), ("FDP3", "EDC3"), ("FDP4", "EDC4"), ("FDP5", "EDC5")),
+        antagonists=(*((f"FDP{digit}", f"EDC{digit}") for digit in range(2, 6)), ("FPL", "EPL")),
         approach=APPROACH,
     ),
 )

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from myowarp.apps.policies.baselines import PREFIX, load_baseline
 from myowarp.apps.policies.find import Policy
+from myowarp.apps.policies.learned import LearnedPolicy
 from myowarp.apps.reports import panel
 from myowarp.apps.reports.evaluation import EVALUATION_SEED
 from myowarp.apps.reports.intervals import mean_interval
@@ -21,11 +23,15 @@ from myowarp.apps.reports.result import PERCENT, Merit
 from myowarp.apps.studies import adaptation
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab, Tick
 from myowarp.apps.studies.reproduce.policies import Training, available
+from myowarp.definitions.body import fact_for
 from myowarp.definitions.condition import Condition
+from myowarp.definitions.muscle import muscle_index
 from myowarp.definitions.setup import Setup
+from myowarp.definitions.task import TASKS
 from myowarp.inks import INKS
 from myowarp.models.conditions import (
     JointDevice,
+    NerveCrossing,
     Ramp,
     Sarcopenia,
     TendonTear,
@@ -58,24 +64,38 @@ SETTINGS: dict[str, dict[str, Any]] = {
 }
 """Settings of a training by task, beside its preset; all kinds have the same."""
 MOMENT = Uniform(0.2, 1.0)  # s
-WEAKNESS, DEVICE, TEAR, TRANSFER = "weakness", "device", "tear", "transfer"
+WEAKNESS, DEVICE, CROSSING, TEAR, TRANSFER = "weakness", "device", "crossing", "tear", "transfer"
 DEVICES = {ELBOW: ("", Uniform(0.0, 2.0)), HAND: ("pro_sup_r", Uniform(2.0, 4.0))}
 """The joint of a device, and the share of the muscles' torque that it adds."""
 Case = tuple[str, str]
 CHANGES = {
-    ELBOW: (WEAKNESS, DEVICE),
+    ELBOW: (WEAKNESS, DEVICE, CROSSING),
     FINGER: (WEAKNESS,),
-    HAND: (TRANSFER, DEVICE),
+    HAND: (TRANSFER, DEVICE, CROSSING),
     KEY: (TEAR,),
     HOLD: (TRANSFER,),
 }
 CASES: tuple[Case, ...] = tuple((task, change) for task, changes in CHANGES.items() for change in changes)
-WITH_RETRAINED = ((ELBOW, WEAKNESS), (ELBOW, DEVICE))
+WITH_RETRAINED = (*((ELBOW, change) for change in CHANGES[ELBOW]), (HAND, CROSSING))
+LASTING = {"noise": "repeated"}
 BESIDE: dict[Case, dict[str, Any]] = {
-    (ELBOW, DEVICE): {"noise": "repeated"},
-    (HAND, DEVICE): {"samples": 2_000_000, "mean_bound": "tanh", "noise": "repeated", "epochs": 2},
+    (ELBOW, DEVICE): LASTING,
+    (ELBOW, CROSSING): LASTING,
+    (FINGER, WEAKNESS): LASTING,
+    (HAND, DEVICE): LASTING | {"samples": 2_000_000, "mean_bound": "tanh", "epochs": 2},
 }
 """Settings of a case in place of its task's: noise that lasts, and means that do not hide it by clipping."""
+TAUGHT: dict[Case, dict[str, Any]] = {
+    (HAND, CROSSING): {
+        "samples": 400_000,
+        "num_worlds": 256,
+        "parent": PREFIX + HAND,
+        "expert": f"{__name__}:uncross",
+    }
+}
+"""Settings of cases in which DAgger imitates a teacher who is told of the change."""
+REMEMBERED = {"observe": ("history=2",)}
+"""Instead of a recurrent unit, which DAgger does not train."""
 CLAIMS = {BLIND: "trained", TOLD: TOLD, MEMORY: MEMORY}
 """Claims about the gain of a kind over the next worse one."""
 SEEDS = (0, 1, 2)
@@ -101,6 +121,8 @@ def change_of(case: Case, *, there: bool = False) -> Condition:
         return TendonTear(transmission=come(1.0, 0.0))
     if change == TRANSFER:
         return TendonTransfer(come(0.0, 1.0))
+    if change == CROSSING:
+        return NerveCrossing(come(0.0, 1.0))
     joint, share = DEVICES[task]
     return JointDevice(joint, stiffness=0.0, assistance=come(0.0, share), delay=0.1)
 
@@ -108,11 +130,38 @@ def change_of(case: Case, *, there: bool = False) -> Condition:
 def training(case: Case, kind: str) -> Training:
     """Return how a kind of policy is trained for a task and a change."""
     task, change = case
-    own = SETTINGS[task] | BESIDE.get(case, {})
+    taught = case in TAUGHT
+    own = dict(TAUGHT[case]) if taught else SETTINGS[task] | BESIDE.get(case, {})
     samples, parent = own.pop("samples"), own.get("parent")
+    own |= REMEMBERED if taught and kind == MEMORY else KINDS[kind]
     name = f"changing_{task}_{change}_{kind}"
     conditions = (change_of(case, there=kind == RETRAINED),)
-    return Training(name, task, lambda: conditions, samples, own | KINDS[kind], parent=parent)
+    algorithm = "dagger" if taught else "ppo"
+    return Training(name, task, lambda: conditions, samples, own, algorithm=algorithm, parent=parent)
+
+
+@cache
+def _healthy_hand() -> tuple[LearnedPolicy, np.ndarray]:
+    """Return the package's policy of hand reach, and its actions' order where nerves are crossed."""
+    checkpoint = load_baseline(HAND).checkpoint
+    muscles = checkpoint.manifest["contract"]["actuators"]
+    order = np.arange(len(muscles))
+    for pair in fact_for("cross nerves", TASKS[HAND].body, "antagonists"):
+        one, other = (muscle_index(name, muscles) for name in pair)
+        order[[one, other]] = other, one
+    return LearnedPolicy(checkpoint), order
+
+
+def uncross(obs: np.ndarray, told: np.ndarray) -> np.ndarray:
+    """Act as the package's policy of hand reach, and exchange what it asks of muscles with crossed nerves.
+
+    Args:
+        obs: Observations, the task's own first, shape (num_worlds, obs_size).
+        told: Whether nerves are crossed, from 0.5 on, shape (num_worlds, 1).
+    """
+    policy, order = _healthy_hand()
+    actions = policy(obs[:, : policy.obs_size])
+    return np.where(told >= 0.5, actions[:, order], actions)
 
 
 def seeds_of(lab: Lab, case: Case) -> list[int]:
