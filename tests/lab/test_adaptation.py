@@ -13,7 +13,7 @@ from myowarp.apps.policies.find import Policy, acting, find_policy
 from myowarp.apps.studies import adaptation, leaderboard
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
-from myowarp.models.conditions import Ramp, Sarcopenia, TendonTear, Uniform
+from myowarp.models.conditions import NerveCrossing, Ramp, Sarcopenia, TendonTear, Uniform
 from myowarp.sim.simulation import Simulation
 from myowarp.tasks.setups import complete
 
@@ -49,6 +49,23 @@ def by_hand(name):
         changed[weak & (changed < 0)] = step
         solved.append(sim.transition.solved.numpy().copy())
     return np.array(solved), changed, sim.scene.control_dt
+
+
+def test_a_teacher_undoes_what_crossed_nerves_do():
+    """With it hands move as healthy ones do with the healthy policy, bit for bit, before and after."""
+    task, hands = TASKS["myoHandReachRandom-v0"], []
+    crossed = NerveCrossing(Ramp(0.0, 1.0, onset=Uniform(0.1, 0.3)))
+    teacher = "myowarp.apps.studies.reproduce.adaptation:uncross"
+    for conditions, name in (((), "baseline"), (crossed, teacher), (crossed, "baseline")):
+        sim = Simulation(task, 4, conditions=conditions, device="cpu", autoreset="disabled", progress=False)
+        act = acting(find_policy(name, task), sim)
+        sim.reset(seeds=np.arange(4))
+        for _ in range(20):
+            sim.action.assign(act(sim.transition.obs.numpy().copy()))
+            sim.step()
+        hands.append(sim.scene.data.qpos.numpy().copy())
+    np.testing.assert_array_equal(hands[1], hands[0])
+    assert np.abs(hands[2] - hands[0]).max(axis=1).min() > 0.1
 
 
 def test_another_policy_acts_from_the_change_on():
