@@ -58,7 +58,7 @@ PARALLEL = {"num_worlds": 256, "minibatches": 4}
 SETTINGS: dict[str, dict[str, Any]] = {
     ELBOW: {"samples": 600_000},
     FINGER: {"samples": 600_000, "parent": PREFIX + FINGER},
-    HAND: {"samples": 1_000_000, "parent": PREFIX + HAND} | PARALLEL,
+    HAND: {"samples": 1_000_000, "parent": f"{PREFIX}{HAND}/parent"} | PARALLEL,
     KEY: {"samples": 1_000_000, "parent": PREFIX + KEY} | PARALLEL,
     HOLD: {"samples": 600_000, "parent": PREFIX + HOLD} | PARALLEL,
 }
