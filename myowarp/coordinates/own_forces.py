@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.kernels.launch import launch
-from myowarp.kernels.structs import struct_array
+from myowarp.kernels.structs import struct_array, struct_of
 from myowarp.laws.expressions import Programs, Variables, added, programs, run
 from myowarp.laws.forces.bushing import BodyMotion, Bushing, Wrench, bushing_wrench
 from myowarp.laws.forces.coordinate_limit import CoordinateLimit, limit_damping, limit_spring
@@ -353,14 +353,13 @@ class OwnForces:
         self.bushings = struct_array(Bushing, bushings)
         self.pushed_bodies = struct_array(PushedBody, bodies)
         self.formulas = programs(formulas)
-        self.tree = Tree()
-        for name, array in (
-            ("parent", host.body_parentid),
-            ("root", host.body_rootid),
-            ("first_dof", host.body_dofadr),
-            ("dofs", host.body_dofnum),
-        ):
-            setattr(self.tree, name, wp.array(array, dtype=int))
+        self.tree = struct_of(
+            Tree,
+            parent=host.body_parentid,
+            root=host.body_rootid,
+            first_dof=host.body_dofadr,
+            dofs=host.body_dofnum,
+        )
         self.curves = piece_tables(ligament.curves for ligament in acting.ligaments)
         springs = [host.tendon(name).id for name in acting.springs]
         for name in ("tendon_stiffness", "tendon_stiffnesspoly") if springs else ():

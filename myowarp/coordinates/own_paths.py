@@ -20,7 +20,7 @@ import warp as wp
 
 from myowarp.kernels.batching import batched, num_threads
 from myowarp.kernels.launch import launch
-from myowarp.kernels.structs import struct_array
+from myowarp.kernels.structs import struct_of
 from myowarp.laws.paths.path import Frames, Pulls
 from myowarp.laws.paths.tables import OsimPath, OsimPaths, PathMemory, Via
 from myowarp.laws.pieces import PieceTables, evaluated, piece_tables
@@ -322,17 +322,16 @@ class OwnPaths:
             after = [len(groups), len(moving), len(joints), len(variables)]
             pairs = [number for pair in zip(spans, after, strict=True) for number in pair]
             rows.append((path, *pairs, first, len(columns)))
-        self.rows = RowTables()
-        for name, struct, values in (
-            ("rows", Row, rows),
-            ("groups", Group, groups),
-            ("entries", Entry, entries),
-            ("moving", MovingEntry, moving),
-            ("joints", JointEntry, joints),
-            ("variables", VariableEntry, variables),
-        ):
-            setattr(self.rows, name, struct_array(struct, values))
-        self.rows.handles = wp.array(handles, dtype=int)
+        self.rows = struct_of(
+            RowTables,
+            rows=rows,
+            groups=groups,
+            handles=handles,
+            entries=entries,
+            moving=moving,
+            joints=joints,
+            variables=variables,
+        )
         sizes = np.diff([*begins, len(columns)])
         model.ten_J_rownnz, model.ten_J_rowadr = wp.array(sizes, dtype=int), wp.array(begins, dtype=int)
         model.ten_J_colind, model.max_ten_J_rownnz = wp.array(columns, dtype=int), int(sizes.max(initial=0))
