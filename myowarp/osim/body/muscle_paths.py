@@ -28,7 +28,6 @@ from myowarp.osim.body.described import described
 from myowarp.osim.body.parts import in_parts, joined
 from myowarp.osim.body.skeleton import Bones, Placement, Skeleton, place
 from myowarp.osim.body.straight_paths import StraightPaths, acted_on
-from myowarp.osim.document.model import pulling
 
 TOGETHER = 256
 """Frames whose paths are followed at once: working memory is 0.1 MB for each."""
@@ -179,7 +178,7 @@ class PathsOfMuscles:
         """
         model, self._bones = bones.model, bones
         self.muscles = muscles_of(bones) if names is None else tuple(names)
-        every = pulling(model)
+        every = model.pulling
         paths = {name: every[name] for name in self.muscles}
         self.crossed = tuple(acted_on(bones, path) for path in paths.values())
         paths_of, depends = described(model, paths)
@@ -287,7 +286,7 @@ def muscle_paths(
     """
     values, speeds = (np.ascontiguousarray(array, float) for array in (values, speeds))
     names = muscles_of(bones) if names is None else tuple(names)
-    every = pulling(bones.model)
+    every = bones.model.pulling
     crossed = {name: acted_on(bones, every[name]) for name in names}
     over = [name for name in names if every[name].wraps]
     straight = [name for name in names if name not in over]

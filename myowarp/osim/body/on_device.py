@@ -14,7 +14,6 @@ from myowarp.laws.paths.tables import PathMemory
 from myowarp.osim.body.described import described
 from myowarp.osim.document.dynamics import moving_frames, rates
 from myowarp.osim.document.elements import Path
-from myowarp.osim.document.functions import derivatives
 from myowarp.osim.document.model import Model
 
 TOGETHER = 256  # poses in a launch: working memory is 0.1 MB for each
@@ -74,7 +73,7 @@ def lengths_and_moment_arms(
             frames = moving_frames(model, coordinates)
             bodies = [frames[name] for name in paths_of.bodies]
             curves = [
-                derivatives(function, coordinates.value[coordinate])[:2] for function, coordinate in needed
+                function.derivatives(coordinates.value[coordinate])[:2] for function, coordinate in needed
             ]
             memory.frames.origin.assign(np.stack([body.origin for body in bodies], axis=1))
             memory.frames.rotation.assign(np.stack([body.rotation for body in bodies], axis=1))

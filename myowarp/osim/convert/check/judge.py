@@ -19,7 +19,6 @@ from myowarp.osim.convert.check.muscles import Motion, engine_force
 from myowarp.osim.convert.compose.convert import Converted
 from myowarp.osim.convert.tendon.fits import Samples
 from myowarp.osim.convert.tendon.fitted import Fits, MuscleFit
-from myowarp.osim.document.kinematics import independent
 
 Array = np.ndarray
 
@@ -212,7 +211,7 @@ def judge(
     if not fits.muscles:
         return Judgement([], [])
     source = converted.model
-    free = independent(source)
+    free = source.independent
     values = {name: samples.check.coordinates[name] for name in free}
     paths = {fit.name: source.muscles[fit.name].path for fit in fits.muscles}
     still = np.zeros((len(found.length), len(free)))

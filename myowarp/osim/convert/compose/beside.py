@@ -25,7 +25,7 @@ from myowarp.osim.convert.compose.passive import is_of_joint
 from myowarp.osim.document.contacts import contact_pairs
 from myowarp.osim.document.elements import LEAST_TRANSITION, Bushing, CoordinateLimitForce, Ligament, Pose
 from myowarp.osim.document.functions import Function, curves
-from myowarp.osim.document.model import GROUND, Model, Note, pulling
+from myowarp.osim.document.model import GROUND, Model, Note
 
 UNITS = {
     "max_isometric_force": "N",
@@ -48,7 +48,7 @@ def document_paths(build: Build, model: Model) -> DocumentPaths | None:
     A path that depends on a coordinate by a function that is no polynomial is noted, and so are all others
     with it: the model then keeps its fitted tendons.
     """
-    found, values = described(model, pulling(model))
+    found, values = described(model, model.pulling)
     driven: list[Driven] = []
     for value in values:
         one = _driven(build, value)

@@ -33,7 +33,7 @@ from myowarp.osim.convert.compose.points import add_markers, add_moving_points, 
 from myowarp.osim.convert.compose.visible_body import add_visible_body
 from myowarp.osim.convert.tendon.path import TendonPath
 from myowarp.osim.document.contacts import resting
-from myowarp.osim.document.model import Model, Muscle, Note, pulling
+from myowarp.osim.document.model import Model, Muscle, Note
 
 if TYPE_CHECKING:
     from myowarp.osim.convert.tendon.force import ForceFit
@@ -110,7 +110,7 @@ def convert(model: Model, options: Options = Options(), stages: Stages = Stages(
     if forces is not None:
         forces = replace(forces, springs=tuple(build.springs), dampers=build.dampers, bare=build.bare)
     # What stands for functions in plain MuJoCo alone is no loss where it does not run.
-    tangents = {f"/forceset/{name}" for name, path in pulling(model).items() if path.function is not None}
+    tangents = {f"/forceset/{name}" for name, path in model.pulling.items() if path.function is not None}
     meshes = add_shapes(build, options.mesh_folders)
     for name, text in (("credits", model.credits), ("publications", model.publications)):
         if text:

@@ -29,7 +29,7 @@ from myowarp.osim.document.functions import (
     affine,
     curves,
 )
-from myowarp.osim.document.kinematics import about, independent, sampling_range
+from myowarp.osim.document.kinematics import about
 from myowarp.osim.document.model import GROUND, Joint, Model, Move, Note
 
 Array = np.ndarray
@@ -281,7 +281,7 @@ def positive(moments: Array, mass: float) -> Array:
 
 def _regular(model: Model) -> bool:
     """Return whether forces determine accelerations in the default pose, with the document's inertias."""
-    free = independent(model)
+    free = model.independent
     start = {name: np.array([model.coordinates[name].default]) for name in free}
     M, _ = equations(model, start, np.zeros((1, len(free))))
     return not free or regularity(M[0]) >= REGULAR
@@ -417,7 +417,7 @@ def _tied(build: Build, name: str, demands: Sequence[Demand]) -> list[Dependent]
     bent = [demand for demand in demands if lines[demand.joint] is None]
     if not bent:
         return exact
-    low, high = sampling_range(build.model, name)
+    low, high = build.model.coordinates[name].sampling_range
     fit = fit_all([d.function for d in bent], [d.lever for d in bent], low, high)
     phantoms: list[str] = []
     start = build.model.coordinates[name].default
@@ -470,6 +470,6 @@ def _mapped(build: Build, name: str) -> MappedCoordinate:
         kind,
         coordinate.rotational,
         coordinate.default,
-        sampling_range(build.model, name),
+        coordinate.sampling_range,
         coordinate.clamped,
     )

@@ -22,8 +22,7 @@ from myowarp.osim.document.elements import (
     Ligament,
     Path,
 )
-from myowarp.osim.document.functions import IDENTITY, derivatives
-from myowarp.osim.document.kinematics import sampling_range
+from myowarp.osim.document.functions import IDENTITY
 from myowarp.osim.document.model import GROUND, Joint, Loss, Note
 
 STRAIN = np.linspace(0.0, 0.1, 51)[1:]
@@ -187,7 +186,7 @@ def _line_tendon(build: Build, name: str, function: LengthFunction) -> mujoco.Mj
         follows, free = reduced(model, IDENTITY, of)
         if free is not None and free in build.carriers:
             joint, scale = build.carriers[free]
-            rate = float(derivatives(follows, model.coordinates[free].default)[1])
+            rate = float(follows.derivatives(model.coordinates[free].default)[1])
             slopes[joint] = slopes.get(joint, 0.0) + float(slope) * rate / scale
     if not slopes:
         raise ValueError(f"{model.source}: the length of {name!r} depends on no coordinate that moves")
@@ -257,7 +256,7 @@ def _one_sided(
 
 def _add_limit(build: Build, item: CoordinateLimitForce) -> None:
     """Add springs beyond a coordinate's limits, and the damping that is there in its whole range."""
-    low, high = sampling_range(build.model, item.coordinate)
+    low, high = build.model.coordinates[item.coordinate].sampling_range
     sides = [(item.limits[0] - low, item.stiffness[0]), (high - item.limits[1], item.stiffness[1])]
     errors, transition = [], max(item.transition, SAME)
     for name, (beyond, stiffness), ends in zip(
