@@ -10,7 +10,7 @@ from pathlib import Path
 
 from myowarp.disk import cache_dir, files_digest, version, writable_folder
 from myowarp.osim.bundle.bundle import MODEL
-from myowarp.osim.document.read.mesh_files import mesh_files
+from myowarp.osim.document.read.shapes import mesh_files
 from myowarp.process import warn_once
 
 SOURCES = ("osim/**/*.py", "laws/**/*.py", "disk.py")

@@ -7,7 +7,6 @@ import json
 from collections.abc import Iterable
 
 from myowarp.laws.paths.tables import OsimPaths, Rows, Vector
-from myowarp.laws.pieces import line
 from myowarp.osim.body.described import Value, described, vector
 from myowarp.osim.body.hill_muscle import HillMuscle
 from myowarp.osim.bundle.contacts import DocumentContacts, SurfacePair
@@ -24,7 +23,7 @@ from myowarp.osim.convert.compose.geometry import Build, default_of, reduced
 from myowarp.osim.convert.compose.passive import is_of_joint
 from myowarp.osim.document.contacts import contact_pairs
 from myowarp.osim.document.elements import LEAST_TRANSITION, Bushing, CoordinateLimitForce, Ligament, Pose
-from myowarp.osim.document.functions import Function, curves
+from myowarp.osim.document.functions import Constant, Function, Linear, curves
 from myowarp.osim.document.model import GROUND, Model, Note
 
 UNITS = {
@@ -68,12 +67,12 @@ def _driven(build: Build, value: Value) -> Driven | None:
     """Return the joint that a value depends on, None for none, and how; None if that is no polynomial."""
     function, free = reduced(build.model, *value)
     if free is None or free not in build.carriers:
-        return None, (line(0.0, default_of(build.model, function, free)),)
+        return None, (Constant(default_of(build.model, function, free)).pieces,)
     chain = curves(function)
     joint, scale = build.carriers[free]
     if chain is None:
         return None
-    return joint, chain if scale == 1 else (line(1 / scale), *chain)
+    return joint, chain if scale == 1 else (Linear(1 / scale).pieces, *chain)
 
 
 def _renamed(paths: OsimPaths, bodies: dict[str, str]) -> OsimPaths:

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from myowarp.laws.pieces import Pieces, line
+from myowarp.laws.pieces import Pieces
 from myowarp.osim.bundle.coordinate_map import CoordinateMap, Dependent, MappedCoordinate
 from myowarp.osim.bundle.couplings import REGULAR, Couplings, regularity
 from myowarp.osim.convert.compose.quartics import Quartic, fit_all
@@ -25,6 +25,7 @@ from myowarp.osim.document.functions import (
     Composed,
     Constant,
     Function,
+    Linear,
     Multiplier,
     affine,
     curves,
@@ -389,7 +390,7 @@ def exact_couplings(build: Build, coordinates: CoordinateMap) -> Couplings:
         if chain is None:  # the equality is all there is
             needed.add(joint)
         else:
-            said[demand.joint] = joint, chain if scale == 1 else (line(1 / scale), *chain)
+            said[demand.joint] = joint, chain if scale == 1 else (Linear(1 / scale).pieces, *chain)
     ranges = {c.joint: sorted(c.scale * end for end in c.range) for c in coordinates.coordinates if c.joint}
     followed = {joint for joint, _ in build.carriers.values()} - needed
     for dependent in coordinates.dependents:

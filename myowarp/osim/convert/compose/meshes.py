@@ -16,7 +16,7 @@ from myowarp.osim.document.elements import Shape
 from myowarp.osim.document.kinematics import about
 from myowarp.osim.document.model import Note
 from myowarp.osim.document.read.element import Element, parse
-from myowarp.osim.document.read.mesh_files import FOLDERS, located
+from myowarp.osim.document.read.shapes import FOLDERS, located
 
 MESH_GROUP, CONTACT_GROUP = 1, 0
 

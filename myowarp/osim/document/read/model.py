@@ -15,13 +15,14 @@ import numpy as np
 
 from myowarp.osim.document.elements import Pose
 from myowarp.osim.document.model import GROUND, Body, Constraint, Coordinate, Joint, Loss, Model, Note
-from myowarp.osim.document.read.components import READERS, read_components, read_shapes
+from myowarp.osim.document.read.components import READERS, read_components
 from myowarp.osim.document.read.element import Element, parse
 from myowarp.osim.document.read.frames import Frames, socket
 from myowarp.osim.document.read.joints import JOINTS, in_order, read_coordinate, read_joint
 from myowarp.osim.document.read.muscle_defaults import DEFAULTS
 from myowarp.osim.document.read.paths import FUNCTIONS as FUNCTION_PATH
 from myowarp.osim.document.read.paths import Scope, read_wraps
+from myowarp.osim.document.read.shapes import read_shapes
 
 VERSIONS = (10901, 40699)
 """First and last version of a document that is read: the first that OpenSim 4.6 reads; later ones of 4.6 add
