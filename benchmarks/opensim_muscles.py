@@ -36,7 +36,7 @@ from myowarp.definitions.muscle import MUSCLES
 from myowarp.inks import BLUE, PINK
 from myowarp.laws.muscles.hill_law import OPENSIM_LAWS
 from myowarp.muscle import Muscles
-from myowarp.osim.body.on_device import lengths_and_moment_arms
+from myowarp.osim.body.path_solution import lengths_and_moment_arms
 from myowarp.osim.bundle.coordinate_map import CoordinateMap
 from myowarp.osim.convert import run as convert
 from myowarp.osim.convert.load import load

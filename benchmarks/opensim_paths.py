@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks.machine import processor
 from myowarp.coordinates.step import step_of
 from myowarp.laws.paths.tables import TURNS
-from myowarp.osim.body.on_device import lengths_and_moment_arms
+from myowarp.osim.body.path_solution import lengths_and_moment_arms
 from myowarp.osim.bundle.coordinate_map import CoordinateMap
 from myowarp.osim.convert.load import load
 from myowarp.osim.document.model import Model

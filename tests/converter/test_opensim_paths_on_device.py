@@ -12,8 +12,7 @@ from reference.osim_paths.path import solve as reference_solve
 from myowarp.laws.paths.tables import TURNS, PathMemory
 from myowarp.osim.body.described import described
 from myowarp.osim.body.moment_arm import crossed, own_reference, poses_of
-from myowarp.osim.body.on_device import lengths_and_moment_arms
-from myowarp.osim.body.path_solution import solve
+from myowarp.osim.body.path_solution import lengths_and_moment_arms, solve
 from myowarp.osim.document.elements import (
     ConditionalPathPoint,
     MovingPathPoint,

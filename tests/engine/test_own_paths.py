@@ -11,7 +11,7 @@ from myowarp.coordinates.step import step_of
 from myowarp.definitions.body import BODIES
 from myowarp.laws.paths.tables import TURNS, OsimPath, OsimPaths, Over, Via, WrapSurface
 from myowarp.models.bodies.from_file import register_body
-from myowarp.osim.body.on_device import lengths_and_moment_arms
+from myowarp.osim.body.path_solution import lengths_and_moment_arms
 from myowarp.osim.bundle.mjcf import mjcf
 from myowarp.osim.bundle.paths import DocumentPaths
 from myowarp.osim.convert.compose.convert import convert

@@ -28,8 +28,8 @@ from myowarp.laws.muscles.hill_law import DEGROOTE, MILLARD, SCHUTTE, THELEN
 from myowarp.models.muscles import hill, hill_kernels
 from myowarp.models.muscles.hill import Hill
 from myowarp.models.muscles.hill_native import native_contract_hill
+from myowarp.osim.body.hill_curves import SPLINES
 from myowarp.osim.body.hill_muscle import HillMuscle
-from myowarp.osim.body.spline_tables import SPLINES
 from myowarp.osim.document.read.muscle_defaults import DEFAULTS
 from myowarp.sim.build import compile_scene, oracle_model
 

@@ -12,9 +12,8 @@ from opensim_muscles import read_muscles, write_muscles
 import myowarp
 from myowarp.laws.muscles.hill_law import SCHUTTE
 from myowarp.laws.muscles.hill_parameters import hill_parameters
-from myowarp.osim.body.hill_curves import SplineCurves
+from myowarp.osim.body.hill_curves import SPLINES, SplineCurves
 from myowarp.osim.body.hill_muscle import HillMuscle
-from myowarp.osim.body.spline_tables import SPLINES
 from myowarp.osim.document.read.muscle_defaults import DEFAULTS
 from myowarp.sim.build import compile_scene
 

@@ -23,8 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from myowarp.laws.millard_curves import MIN_DAMPING, millard_curves
-from myowarp.osim.body.hill_curves import DeGrooteCurves, MuscleCurves, SplineCurves, ThelenCurves
-from myowarp.osim.body.spline_tables import SPLINES
+from myowarp.osim.body.hill_curves import SPLINES, DeGrooteCurves, MuscleCurves, SplineCurves, ThelenCurves
 from myowarp.osim.document.functions import Function
 from myowarp.osim.document.model import Muscle, Note
 from myowarp.osim.document.read.muscle_defaults import DEFAULTS, MAX_PENNATION

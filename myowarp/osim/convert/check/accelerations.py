@@ -10,7 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from myowarp.osim.body.hill_muscle import HillMuscle, known
-from myowarp.osim.body.on_device import lengths_and_moment_arms
+from myowarp.osim.body.path_solution import lengths_and_moment_arms
 from myowarp.osim.bundle.couplings import REGULAR, regularity
 from myowarp.osim.document.dynamics import equations
 from myowarp.osim.document.model import Model

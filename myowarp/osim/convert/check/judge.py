@@ -13,7 +13,7 @@ import numpy as np
 
 from myowarp.laws.paths.tables import TURNS
 from myowarp.osim.body.hill_muscle import ACTIVATIONS, HillMuscle, known
-from myowarp.osim.body.on_device import PathsFound, lengths_and_moment_arms
+from myowarp.osim.body.path_solution import PathsFound, lengths_and_moment_arms
 from myowarp.osim.convert.check.gates import Gate
 from myowarp.osim.convert.check.muscles import Motion, engine_force
 from myowarp.osim.convert.compose.convert import Converted
