@@ -13,7 +13,7 @@ from myowarp.kernels.lanes import block_scratch
 from myowarp.kernels.launch import launch
 from myowarp.laws.curves import KNOTS
 from myowarp.laws.muscles.hill_law import DEGROOTE, MILLARD, SCHUTTE, THELEN, HillMuscle
-from myowarp.laws.muscles.hill_parameters import COMMON, DEFAULTS, LAWS, hill_parameters
+from myowarp.laws.muscles.hill_parameters import COMMON, LAWS, defaults_of, hill_parameters
 from myowarp.models.muscles.hill_kernels import (
     Fibers,
     HillParams,
@@ -140,8 +140,7 @@ class Hill(MuscleModel):
             "pennation_angle_at_optimal": 0.0,
             "max_contraction_velocity": 10.0,
         }
-        defaults = {name: default for name, (_, default, _, _) in LAWS[law].items()}
-        own = {**own, **DEFAULTS[law], **defaults}
+        own |= defaults_of(law)
         return {name: self._value(name, default)[:, chosen] for name, default in own.items()}
 
     def _check_length(self, name: str, lengths: np.ndarray, most: float) -> None:

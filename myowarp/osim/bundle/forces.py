@@ -7,18 +7,23 @@ that stand for them in plain MuJoCo (`coordinates.own_forces`).
 
 import dataclasses
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Self
 
 import mujoco
 import numpy as np
+import warp as wp
 
-from myowarp.laws.expressions import Expression
-from myowarp.laws.paths.tables import Rows, Vector
+from myowarp.kernels.structs import struct_array
+from myowarp.laws.expressions import Expression, added
+from myowarp.laws.forces import bushing as bushing_law
+from myowarp.laws.forces import ligament as ligament_law
+from myowarp.laws.paths.tables import Rows, Vector, vector
 from myowarp.laws.pieces import Pieces
 from myowarp.osim.bundle.couplings import driven
 from myowarp.osim.bundle.paths import frozen
 from myowarp.osim.bundle.text import Sidecar, scalar_joints
+from myowarp.osim.document.elements import Bushing, Ligament, Pose
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,6 +94,22 @@ class BodyBushing:
     turn_damping: Vector
     shift_damping: Vector
     formulas: tuple[Expression, ...] = ()
+
+    @classmethod
+    def of(cls, item: Bushing, body: Callable[[str], str] = lambda name: name) -> Self:
+        """Return a bushing of a document, on bodies of other names."""
+        one, other = map(body, item.bodies)
+        (first_turn, first), (second_turn, second) = map(axes_and_origin, item.frames)
+        return cls(
+            bodies=(one, other),
+            rotations=(first_turn, second_turn),
+            origins=(first, second),
+            turn_stiffness=vector(item.rotational_stiffness),
+            shift_stiffness=vector(item.translational_stiffness),
+            turn_damping=vector(item.rotational_damping),
+            shift_damping=vector(item.translational_damping),
+            formulas=item.formulas,
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -206,6 +227,41 @@ class PassiveForces(Sidecar):
         tendons = {*(ligament.tendon for ligament in self.ligaments), *self.springs}
         self.check_named("hinge or slide", joints, scalar_joints(model))
         self.check_named("tendon", tendons, {model.tendon(i).name for i in range(model.ntendon)})
+
+
+def axes_and_origin(frame: Pose) -> tuple[Rows, Vector]:
+    """Return axes by rows and origin of a frame."""
+    return tuple(vector(row) for row in frame.rotation), vector(frame.position)  # type: ignore[return-value]
+
+
+def bushing_table(
+    bushings: Iterable[BodyBushing], number: Callable[[str], int], formulas: list[Expression]
+) -> wp.array:
+    """Return bushings on the current device, of the numbers of their bodies; their formulas are appended."""
+    rows = [
+        (
+            *map(number, one.bodies),
+            *(part for pair in zip(one.rotations, one.origins, strict=True) for part in pair),
+            *(one.turn_stiffness, one.shift_stiffness, one.turn_damping, one.shift_damping),
+            added(formulas, one.formulas),
+        )
+        for one in bushings
+    ]
+    return struct_array(bushing_law.Bushing, rows)
+
+
+def ligament_table(
+    ligaments: Iterable[TendonSpring | Ligament], numbers: Iterable[int], formulas: list[Expression]
+) -> wp.array:
+    """Return ligaments on the current device, of the numbers of their paths; their formulas are appended."""
+    rows = [
+        (
+            *(number, one.resting_length, one.dissipation, one.damping),
+            added(formulas, () if one.formula is None else (one.formula,)),
+        )
+        for number, one in zip(numbers, ligaments, strict=True)
+    ]
+    return struct_array(ligament_law.Ligament, rows)
 
 
 def formulas_of(entry: dict[str, Any]) -> dict[str, Any]:
