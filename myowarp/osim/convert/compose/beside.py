@@ -24,7 +24,7 @@ from myowarp.osim.convert.compose.passive import is_of_joint
 from myowarp.osim.document.contacts import contact_pairs
 from myowarp.osim.document.elements import LEAST_TRANSITION, CoordinateLimitForce, Ligament
 from myowarp.osim.document.functions import Constant, Function, Linear, curves
-from myowarp.osim.document.model import GROUND, Model, Note
+from myowarp.osim.document.model import GROUND, Model
 
 UNITS = {
     "max_isometric_force": "N",
@@ -53,7 +53,7 @@ def document_paths(build: Build, model: Model) -> DocumentPaths | None:
         one = _driven(build, value)
         if one is None:
             rule = f"a point depends on {value[1]!r} by a function that is no polynomial; tendons are fitted"
-            build.notes.append(Note("/forceset", rule))
+            build.note("/forceset", rule)
             return None
         driven.append(one)
     if not found.paths:
@@ -129,7 +129,7 @@ def _ligament(build: Build, item: Ligament) -> TendonSpring | None:
     chain = curves(item.force)
     if chain is None:
         rule = "its curve is no polynomial; it is the spring of plain MuJoCo"
-        build.notes.append(Note(f"/forceset/{item.name}", rule))
+        build.note(f"/forceset/{item.name}", rule)
         return None
     return TendonSpring(item.name, item.resting_length, item.dissipation, item.damping, chain, item.formula)
 
@@ -144,7 +144,7 @@ def document_contacts(build: Build, model: Model) -> DocumentContacts | None:
     try:
         pairs = contact_pairs(model)
     except ValueError as error:
-        build.notes.append(Note("/contactgeometryset", str(error)))
+        build.note("/contactgeometryset", str(error))
         return None
     found = tuple(SurfacePair.of(pair, lambda name: build.bodies[name].name) for pair in pairs)
     return DocumentContacts(found) if found else None

@@ -17,7 +17,7 @@ from myowarp.osim.convert.compose.geometry import (
     weigh,
 )
 from myowarp.osim.document.elements import MovingPathPoint, Path, PathPoint, Point
-from myowarp.osim.document.model import Model, Note
+from myowarp.osim.document.model import Model
 
 MARKER_GROUP = 5
 MARKER_SIZE = 0.005  # m, as drawn
@@ -106,11 +106,9 @@ def _add_point(build: Build, name: str, point: MovingPathPoint) -> str:
     if moves:
         weigh(build, body)
         body.gravcomp = 1.0
-        build.notes.append(
-            Note(
-                f"/forceset/{name}",
-                "a moving point became a light body on slides",
-                f"{MIN_MASS:g} kg, and {TIED_ARMATURE[SLIDE]:g} kg along each slide",
-            )
+        build.note(
+            f"/forceset/{name}",
+            "a moving point became a light body on slides",
+            f"{MIN_MASS:g} kg, and {TIED_ARMATURE[SLIDE]:g} kg along each slide",
         )
     return body.name
