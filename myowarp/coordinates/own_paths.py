@@ -346,41 +346,16 @@ class OwnPaths:
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Write lengths and Jacobian of all tendons; poses, `cdof` and `subtree_com` are those of qpos."""
-        launch(
-            place_bodies,
-            data.nworld,
-            data,
-            bodies=self.bodies,
-            address=self.address,
-            values=self.values,
-            frames=self.memory.frames,
-            slopes=self.slopes,
-        )
+        launch(place_bodies, data.nworld, self, self.memory, data)
         self.memory.launch()
         threads = num_threads(data.qpos.device, self.rows.rows.shape[0])
-        launch(
-            pull_tendons,
-            (data.nworld, threads),
-            data,
-            tables=self.rows,
-            threads=threads,
-            pulls=self.memory.pulls,
-            slopes=self.slopes,
-        )
+        shape, own = (data.nworld, threads), {"tables": self.rows, "threads": threads}
+        launch(pull_tendons, shape, self, self.memory, data, **own)
 
     def launch_velocity(self, model: mjw.Model, data: mjw.Data) -> None:
         """Add to speeds of tendons and actuators what is not J qvel."""
         if self.drives is not None:
-            launch(
-                add_inner_speeds,
-                data.nworld,
-                model,
-                data,
-                tables=self.rows,
-                drives=self.drives,
-                pulls=self.memory.pulls,
-                slopes=self.slopes,
-            )
+            launch(add_inner_speeds, data.nworld, self, self.memory, model, data, tables=self.rows)
 
 
 def paths_of(host: mujoco.MjModel, model: mjw.Model, data: mjw.Data) -> OwnPaths | None:

@@ -64,22 +64,14 @@ class NativeMujocoMuscle(MujocoMuscle):
         super().__init__(model, num_worlds, parameters)
         of_muscles, of_actuators = 7 * self.activation.shape[1], 3 * model.nu
         device = self.activation.device
-        self._scratch = block_scratch(device, self.params, self.anatomy, of_muscles, of_actuators)
+        self.scratch = block_scratch(device, self.params, self.anatomy, of_muscles, of_actuators)
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Engine callback; see `MuscleModel.launch`."""
         if not self.activation.device.is_cpu:
             super().launch(model, data)
             return
-        launch(
-            native_mujoco_muscle,
-            1,
-            self,
-            data,
-            model,
-            opt_timestep=model.opt.timestep,
-            scratch=self._scratch,
-        )
+        launch(native_mujoco_muscle, 1, self, data, model, opt_timestep=model.opt.timestep)
 
 
 MUSCLES.add("mujoco", NativeMujocoMuscle)

@@ -81,7 +81,12 @@ def acted_on(bones: Bones, path: elements.Path) -> tuple[int, ...]:
 
 
 class StraightPaths:
-    """Muscles of a model whose paths touch no wrap object."""
+    """Muscles of a model whose paths touch no wrap object.
+
+    Attributes:
+        skeleton: Of the model; `needed`: what points depend on.
+        tables: The paths; `fixed`: bodies and points that they are fixed to.
+    """
 
     def __init__(self, bones: Bones, place: Mapping[str, tuple[int, Sequence[int]]]) -> None:
         """Put paths on the bones' device, the CPU.
@@ -102,11 +107,11 @@ class StraightPaths:
         table = np.full((len(acted), max([1, *map(len, acted)])), -1)
         for row, own in zip(table, acted, strict=True):
             row[: len(own)] = own
-        self._skeleton = bones.skeleton
+        self.skeleton = bones.skeleton
         with wp.ScopedDevice(bones.device):
-            self._needed = bones.values_of(depends)
-            self._tables = PathMemory(paths_of, 1, len(depends), guard=0.0).tables
-            self._fixed = struct_of(
+            self.needed = bones.values_of(depends)
+            self.tables = PathMemory(paths_of, 1, len(depends), guard=0.0).tables
+            self.fixed = struct_of(
                 Fixed,
                 body=[bones.number(body) for body in paths_of.bodies],
                 handle_body=np.array([body for own in handles for body in own], int),
@@ -141,10 +146,7 @@ class StraightPaths:
             launch(
                 follow_straight_paths,
                 1,
-                skeleton=self._skeleton,
-                needed=self._needed,
-                tables=self._tables,
-                fixed=self._fixed,
+                self,
                 scratch=wp.empty((self._numbers + 1) * WIDEST, dtype=wp.float64),
                 **{name: wp.array(array, dtype=wp.float64, copy=False) for name, array in given.items()},
             )
