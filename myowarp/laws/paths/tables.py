@@ -40,12 +40,6 @@ Vector = tuple[float, float, float]
 Rows = tuple[Vector, Vector, Vector]
 
 
-def vector(values: np.ndarray | list[float]) -> Vector:
-    """Return three numbers as a tuple."""
-    x, y, z = (float(value) for value in values)
-    return x, y, z
-
-
 FOLLOW_ON_CUDA = wp.Kernel(
     follow_paths.func, module=wp.get_module(f"{__name__}.cuda"), options={"enable_backward": False}
 )

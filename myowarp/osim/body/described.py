@@ -1,9 +1,20 @@
-"""The paths of a `Model` as the device's tables take them."""
+"""Paths and bushings of a `Model` as the device's tables take them."""
 
 from collections.abc import Callable, Mapping
 
-from myowarp.laws.paths.tables import OsimPath, OsimPaths, Over, Polynomial, Via, WrapSurface, vector
-from myowarp.osim.document.elements import ConditionalPathPoint, MovingPathPoint, Path, PathWrap, Point
+import numpy as np
+
+from myowarp.laws.paths.tables import OsimPath, OsimPaths, Over, Polynomial, Rows, Vector, Via, WrapSurface
+from myowarp.osim.bundle.forces import BodyBushing
+from myowarp.osim.document.elements import (
+    Bushing,
+    ConditionalPathPoint,
+    MovingPathPoint,
+    Path,
+    PathWrap,
+    Point,
+    Pose,
+)
 from myowarp.osim.document.functions import IDENTITY, Function, Held
 from myowarp.osim.document.model import Model, WrapObject
 
@@ -66,6 +77,33 @@ def _surface(wrap: WrapObject, body: Callable[[str], str]) -> WrapSurface:
     size = vector([*wrap.size, 0.0, 0.0][:3])
     position = vector(wrap.frame.position)
     return WrapSurface(wrap.kind, body(wrap.body), position, rotation, size, axis, sign, wrap.active)  # type: ignore[arg-type]
+
+
+def bushing_of(item: Bushing, body: Callable[[str], str] = lambda name: name) -> BodyBushing:
+    """Return a bushing on bodies of other names."""
+    one, other = map(body, item.bodies)
+    (first_turn, first), (second_turn, second) = map(axes_and_origin, item.frames)
+    return BodyBushing(
+        bodies=(one, other),
+        rotations=(first_turn, second_turn),
+        origins=(first, second),
+        turn_stiffness=vector(item.rotational_stiffness),
+        shift_stiffness=vector(item.translational_stiffness),
+        turn_damping=vector(item.rotational_damping),
+        shift_damping=vector(item.translational_damping),
+        formulas=item.formulas,
+    )
+
+
+def axes_and_origin(frame: Pose) -> tuple[Rows, Vector]:
+    """Return axes by rows and origin of a frame."""
+    return tuple(vector(row) for row in frame.rotation), vector(frame.position)  # type: ignore[return-value]
+
+
+def vector(values: np.ndarray | list[float]) -> Vector:
+    """Return three numbers as a tuple."""
+    x, y, z = (float(value) for value in values)
+    return x, y, z
 
 
 def quadrant(name: str) -> tuple[int, int]:

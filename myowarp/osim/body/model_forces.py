@@ -22,10 +22,11 @@ from myowarp.laws.forces.bushing import BodyMotion, Bushing, Wrench
 from myowarp.laws.forces.coordinate_limit import CoordinateLimit, limit_damping, limit_spring
 from myowarp.laws.forces.ligament import Ligament, ligament_tension
 from myowarp.laws.pieces import evaluated
+from myowarp.osim.body.described import bushing_of
 from myowarp.osim.body.moment_arm import coordinates_between, leading
 from myowarp.osim.body.muscle_paths import muscle_paths
 from myowarp.osim.body.skeleton import Bones, Placement, Skeleton
-from myowarp.osim.bundle.forces import BodyBushing, bushing_table, ligament_table
+from myowarp.osim.bundle.forces import bushing_table, ligament_table
 from myowarp.osim.document.elements import LEAST_TRANSITION
 from myowarp.osim.document.functions import IDENTITY, Function
 from myowarp.osim.document.model import GROUND, Loss, Model, Note
@@ -301,7 +302,7 @@ def acting_in(bones: Bones) -> Acting:
             struct_array(CoordinateLimit, limits),
             struct_array(CoordinateSpring, springs),
         )
-        tables.bushings = bushing_table(map(BodyBushing.of, model.bushings), bones.number, formulas)
+        tables.bushings = bushing_table(map(bushing_of, model.bushings), bones.number, formulas)
         rows = ligament_table(ligaments, range(len(ligaments)), formulas)
         tables.pushed = wp.array(np.array(pushed, np.int32), dtype=int)
         tables.formulas = programs(formulas)

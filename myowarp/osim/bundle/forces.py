@@ -18,12 +18,12 @@ from myowarp.kernels.structs import struct_array
 from myowarp.laws.expressions import Expression, added
 from myowarp.laws.forces import bushing as bushing_law
 from myowarp.laws.forces import ligament as ligament_law
-from myowarp.laws.paths.tables import Rows, Vector, vector
+from myowarp.laws.paths.tables import Rows, Vector
 from myowarp.laws.pieces import Pieces
 from myowarp.osim.bundle.couplings import driven
 from myowarp.osim.bundle.paths import frozen
 from myowarp.osim.bundle.text import Sidecar, scalar_joints
-from myowarp.osim.document.elements import Bushing, Ligament, Pose
+from myowarp.osim.document.elements import Ligament
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,22 +94,6 @@ class BodyBushing:
     turn_damping: Vector
     shift_damping: Vector
     formulas: tuple[Expression, ...] = ()
-
-    @classmethod
-    def of(cls, item: Bushing, body: Callable[[str], str] = lambda name: name) -> Self:
-        """Return a bushing of a document, on bodies of other names."""
-        one, other = map(body, item.bodies)
-        (first_turn, first), (second_turn, second) = map(axes_and_origin, item.frames)
-        return cls(
-            bodies=(one, other),
-            rotations=(first_turn, second_turn),
-            origins=(first, second),
-            turn_stiffness=vector(item.rotational_stiffness),
-            shift_stiffness=vector(item.translational_stiffness),
-            turn_damping=vector(item.rotational_damping),
-            shift_damping=vector(item.translational_damping),
-            formulas=item.formulas,
-        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -227,11 +211,6 @@ class PassiveForces(Sidecar):
         tendons = {*(ligament.tendon for ligament in self.ligaments), *self.springs}
         self.check_named("hinge or slide", joints, scalar_joints(model))
         self.check_named("tendon", tendons, {model.tendon(i).name for i in range(model.ntendon)})
-
-
-def axes_and_origin(frame: Pose) -> tuple[Rows, Vector]:
-    """Return axes by rows and origin of a frame."""
-    return tuple(vector(row) for row in frame.rotation), vector(frame.position)  # type: ignore[return-value]
 
 
 def bushing_table(

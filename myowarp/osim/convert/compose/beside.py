@@ -6,17 +6,15 @@ import io
 import json
 from collections.abc import Iterable
 
-from myowarp.osim.body.described import Value, described
+from myowarp.osim.body.described import Value, axes_and_origin, bushing_of, described
 from myowarp.osim.body.hill_muscle import HillMuscle
 from myowarp.osim.bundle.contacts import DocumentContacts, SurfacePair
 from myowarp.osim.bundle.forces import (
-    BodyBushing,
     BodyPush,
     JointLimit,
     JointPush,
     PassiveForces,
     TendonSpring,
-    axes_and_origin,
 )
 from myowarp.osim.bundle.paths import DocumentPaths, Driven
 from myowarp.osim.convert.compose.geometry import Build, default_of, reduced
@@ -92,7 +90,7 @@ def passive_forces(build: Build, has_paths: bool) -> PassiveForces | None:
         if item.coordinate in build.carriers
     )
     apart = (item for item in model.bushings if not is_of_joint(build, item))
-    bushings = tuple(BodyBushing.of(item, lambda name: build.bodies[name].name) for item in apart)
+    bushings = tuple(bushing_of(item, lambda name: build.bodies[name].name) for item in apart)
     body_pushes = tuple(
         BodyPush(
             build.bodies[item.body].name,

@@ -19,7 +19,7 @@ FORCE_LENGTH = SimmSpline(
 MILLARD_CURVES = {
     name: default for name, (_, default, *_) in millard2012.PARAMETERS.items() if not math.isnan(default)
 }
-"""Those that OpenSim does not compute itself."""
+"""Parameters of the curves for which the law has a default; OpenSim computes the others itself."""
 
 DEFAULTS: dict[str, dict[str, float]] = {
     "Thelen2003Muscle": {
