@@ -36,11 +36,10 @@ from myowarp.definitions.muscle import MUSCLES
 from myowarp.inks import BLUE, PINK
 from myowarp.laws.muscles.hill_law import OPENSIM_LAWS
 from myowarp.muscle import Muscles
-from myowarp.osim.body.on_device import lengths_and_moment_arms
+from myowarp.osim.body.path_solution import lengths_and_moment_arms
 from myowarp.osim.bundle.coordinate_map import CoordinateMap
 from myowarp.osim.convert import run as convert
 from myowarp.osim.convert.load import load
-from myowarp.osim.document.kinematics import independent
 from myowarp.osim.document.read.model import read_model
 from myowarp.sim.build import compile_scene, stepped_of
 from myowarp.sim.converted_step import OurStep
@@ -208,7 +207,7 @@ def jumps(source: Path, record: Any, meta: dict[str, Any]) -> dict[str, tuple[in
     in which none does are left out.
     """
     model, found = read_model(source), {}
-    free, names = independent(model), meta["muscles"]
+    free, names = model.independent, meta["muscles"]
     paths = {name: model.muscles[name].path for name in names}
     for title in (name for name in record if name.startswith("forward ")):
         values = dict(zip(meta["coordinates"], record[title].T, strict=True))

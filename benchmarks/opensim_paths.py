@@ -21,10 +21,9 @@ import numpy as np
 from benchmarks.machine import processor
 from myowarp.coordinates.step import step_of
 from myowarp.laws.paths.tables import TURNS
-from myowarp.osim.body.on_device import lengths_and_moment_arms
+from myowarp.osim.body.path_solution import lengths_and_moment_arms
 from myowarp.osim.bundle.coordinate_map import CoordinateMap
 from myowarp.osim.convert.load import load
-from myowarp.osim.document.kinematics import independent
 from myowarp.osim.document.model import Model
 from myowarp.osim.document.read.model import read_model
 from myowarp.sim.build import compile_scene, stepped_of
@@ -40,7 +39,7 @@ def compare(source: Path, recorded: Path) -> dict[str, Any]:
     """Return the errors of one model."""
     record, model = np.load(recorded / f"paths_{source.stem}.npz"), read_model(source)
     free, muscles = record["free"].tolist(), record["muscles"].tolist()
-    if free != independent(model):
+    if free != model.independent:
         raise ValueError(f"{source}: coordinates of the recording are not those of the model; record it anew")
     values = dict(zip(record["coordinates"].tolist(), record["values"].T, strict=True))
     paths = {name: model.muscles[name].path for name in muscles}
@@ -119,7 +118,7 @@ def stepped(
     tendons = [host.tendon(name).id for name in muscles]
     rows = np.repeat(np.arange(host.ntendon), scene.model.ten_J_rownnz.numpy())
     columns = scene.model.ten_J_colind.numpy()[: len(rows)]
-    order = [independent(model).index(name) for name in coordinates.free()]
+    order = [model.independent.index(name) for name in coordinates.free()]
     count = len(speeds)
     length, velocity = np.zeros((count, len(muscles))), np.zeros((count, len(muscles)))
     arm = np.zeros((count, len(muscles), len(order)))

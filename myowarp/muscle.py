@@ -35,6 +35,8 @@ import warp as wp
 
 from myowarp.definitions.muscle import MUSCLES
 from myowarp.definitions.registry import check_choice
+from myowarp.kernels.structs import struct_of
+from myowarp.laws.curves import CurveTables64
 from myowarp.laws.muscles.hill_arrays import (
     ACTIVE,
     CURVES,
@@ -161,8 +163,7 @@ class Muscles:
         self.parameters: dict[str, wp.array] = {}
         with wp.ScopedDevice(self.device):
             self._struct.kind = wp.array(self._rows, dtype=HillMuscle64)
-            self._struct.tables = wp.array(tables, dtype=wp.vec2d)
-            self._struct.spans = wp.array(spans, dtype=wp.vec2d)
+            self._struct.tables = struct_of(CurveTables64, values=tables, spans=spans)
             shown = {name: name for name in DIRECT} | {field: name for name, field in fields.items()}
             for field in (*DIRECT, *CURVES):
                 stated = self._rows[field] if field in (self._rows.dtype.names or ()) else values[field]

@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from myowarp.laws.curves import CurveTables64
 from myowarp.laws.muscles import hill_law
 
 # Kernels of tests are compiled once and launched for a moment.
@@ -12,8 +13,7 @@ Hill64 = hill_law.hill_muscle(wp.float64)
 @wp.kernel
 def velocity_64(
     m: wp.array2d[Hill64],
-    tables: wp.array2d[wp.vec2d],
-    spans: wp.array[wp.vec2d],
+    tables: CurveTables64,
     a: wp.array[wp.float64],
     norm_length: wp.array[wp.float64],
     pull: wp.array[wp.float64],
@@ -21,5 +21,5 @@ def velocity_64(
 ):
     i = wp.tid()
     one, tolerance = wp.float64(1.0), wp.float64(1e-13)
-    found = hill_law.fiber_velocity(m[0, 0], tables, spans, a[i], one, norm_length[i], pull[i], tolerance)
+    found = hill_law.fiber_velocity(m[0, 0], tables, a[i], one, norm_length[i], pull[i], tolerance)
     velocity[i] = found[0]

@@ -93,6 +93,12 @@ def is_warp(node, attribute):
     )
 
 
+def is_native(node):
+    """Whether a function is the signature of a kernel that is C++, see `kernels/lanes.py`."""
+    calls = [decorator.func for decorator in node.decorator_list if isinstance(decorator, ast.Call)]
+    return any(isinstance(call, ast.Name) and call.id == "native_kernel" for call in calls)
+
+
 @cache
 def kernels():
     """Return file and function of each kernel, by name."""
@@ -100,7 +106,7 @@ def kernels():
     for name in FILES:
         for node in nodes(name):
             if isinstance(node, ast.FunctionDef):
-                if any(is_warp(decorator, "kernel") for decorator in node.decorator_list):
+                if is_native(node) or any(is_warp(decorator, "kernel") for decorator in node.decorator_list):
                     assert node.name not in found, f"two kernels are called {node.name}"
                     found[node.name] = (name, node)
     return found
@@ -229,7 +235,7 @@ def wrong_signature(kernel):
         if ending != tuple(filter(None, [SUFFIXES.get(group)])):
             yield f"{where}: {parameter} stands under {group}"
     first = node.body[1] if len(node.body) > 1 else None
-    if not (isinstance(first, ast.Assign) and is_warp(first.value, "tid")):
+    if not (is_native(node) or (isinstance(first, ast.Assign) and is_warp(first.value, "tid"))):
         yield f"{where}: a kernel begins with its indices"
 
 

@@ -57,6 +57,8 @@ from myowarp.engine.stepped import Stepped
 from myowarp.engine.verify import set_state
 from myowarp.kernels.lanes import block_scratch
 from myowarp.kernels.launch import launch
+from myowarp.kernels.structs import struct_of
+from myowarp.laws.pieces import packed
 from myowarp.osim.bundle.couplings import (
     NOTHING,
     REGULAR,
@@ -95,27 +97,15 @@ def tables(model: mujoco.MjModel, ties: list[Coupling]) -> Followers:
     shown = address[np.array(free)[coordinate]]
     position = np.where(np.isin(kinds, (BALL, FREE)), -1, np.searchsorted(places, shown))
     lists = [chains[dof].curves if dof in chains else () for dof in range(model.nv)]
-    curves = [curve for chain in lists for curve in chain]
-    terms = max((len(row) for curve in curves for row in curve.coefficients), default=1)
-    coefficients = [
-        (*row, *[0.0] * (terms - len(row))) for curve in curves for row in curve.coefficients
-    ] or [(0.0,)]
-    breaks = [place for curve in curves for place in curve.breaks] or [0.0]
-    followers = Followers()
-    integers = {
-        "place": places,
-        "dof": free,
-        "coordinate": coordinate,
-        "position": position,
-        "address": address,
-        "first_curve": np.cumsum([0, *map(len, lists)]),
-        "first_piece": np.cumsum([0, *(len(curve.breaks) for curve in curves)]),
-    }
-    for name, values in integers.items():
-        setattr(followers, name, wp.array(values, dtype=int))
-    followers.breaks = wp.array(breaks, dtype=float)
-    followers.coefficients = wp.array(np.array(coefficients), dtype=float)
-    return followers
+    return struct_of(
+        Followers,
+        place=places,
+        dof=free,
+        coordinate=coordinate,
+        position=position,
+        address=address,
+        **packed(lists),
+    )
 
 
 def document_masses(model: mujoco.MjModel, said: Couplings) -> None:

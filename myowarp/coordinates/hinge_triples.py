@@ -22,6 +22,7 @@ import warp as wp
 from myowarp.coordinates.reduction import Followers
 from myowarp.engine.inertia import inert_vec, vec10
 from myowarp.kernels.batching import batched
+from myowarp.kernels.structs import struct_of
 from myowarp.osim.bundle.couplings import Coupling
 
 HINGE = mujoco.mjtJoint.mjJNT_HINGE.value
@@ -337,17 +338,19 @@ def triple_tables(
     zero[:, 1] -= [lean for _, lean in found]
     rows = np.repeat(np.arange(model.nv), model.M_rownnz)
     touched = np.isin(rows, dof) | np.isin(model.M_colind, dof)
-    triples = Triples()
-    triples.joint, triples.dof = wp.array(joint, dtype=int), wp.array(dof, dtype=int)
-    triples.address = wp.array(address, dtype=int)
-    triples.coordinate = wp.array(followers.coordinate.numpy()[dof], dtype=int)
-    triples.position = wp.array(followers.position.numpy()[dof], dtype=int)
-    triples.zero = wp.array(zero, dtype=float)
     ranges = model.jnt_range[joint]
     limited = model.jnt_limited[joint].astype(bool) & (np.ptp(ranges, axis=2) < 2 * np.pi)
-    triples.middle = wp.array(ranges.mean(axis=2), dtype=float)
-    triples.limited = wp.array(limited & [True, False, True], dtype=float)
-    triples.entry = wp.array(np.flatnonzero(touched), dtype=int)
-    triples.row = wp.array(rows[touched], dtype=int)
-    triples.column = wp.array(model.M_colind[touched], dtype=int)
-    return triples
+    return struct_of(
+        Triples,
+        joint=joint,
+        dof=dof,
+        address=address,
+        coordinate=followers.coordinate.numpy()[dof],
+        position=followers.position.numpy()[dof],
+        zero=zero,
+        middle=ranges.mean(axis=2),
+        limited=limited & [True, False, True],
+        entry=np.flatnonzero(touched),
+        row=rows[touched],
+        column=model.M_colind[touched],
+    )

@@ -14,6 +14,7 @@ import warp as wp
 
 from myowarp.coordinates.reduction import RowJacobian
 from myowarp.kernels.cholesky import eliminated, substitute
+from myowarp.kernels.structs import zeros_of
 
 SOFT = wp.constant(wp.float64(1e-3))
 IMPLIED = wp.constant(wp.float64(1e-10))
@@ -42,12 +43,9 @@ class LoopFactors:
 
 def loop_factors(worlds: int, rows: int, number: int) -> LoopFactors:
     """Return scratch on the current device."""
-    factors = LoopFactors()
-    factors.inertia = wp.zeros((worlds, number, number), dtype=wp.float64)
-    factors.turned = wp.zeros((worlds, rows + 1, number), dtype=wp.float64)
-    factors.closing = wp.zeros((worlds, rows, rows), dtype=wp.float64)
-    factors.force = wp.zeros((worlds, rows), dtype=wp.float64)
-    return factors
+    turned, closing = (worlds, rows + 1, number), (worlds, rows, rows)
+    shapes = {"inertia": (worlds, number, number), "turned": turned, "closing": closing}
+    return zeros_of(LoopFactors, **shapes, force=(worlds, rows))
 
 
 @wp.kernel(enable_backward=False)

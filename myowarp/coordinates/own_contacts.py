@@ -25,6 +25,7 @@ from myowarp.definitions.forces import Forces
 from myowarp.engine.stages.arrays import InertiaRows, filled
 from myowarp.kernels.batching import batched
 from myowarp.kernels.launch import launch
+from myowarp.kernels.structs import struct_of, zeros_of
 from myowarp.laws.forces.bushing import BodyMotion
 from myowarp.laws.forces.contact import Contact, contact_wrench
 from myowarp.osim.bundle.contacts import DocumentContacts, contact_table
@@ -211,16 +212,15 @@ class OwnContacts:
         self.contacts = contact_table(said.pairs, lambda name: int(host.body(name).id))
         bodies = np.array([[host.body(s.body).id for s in (pair.first, pair.second)] for pair in said.pairs])
         movers = host.body_weldid[bodies]
-        chains = self.chains = Chains()
         last = host.body_dofadr[movers] + host.body_dofnum[movers] - 1
-        chains.last = wp.array(np.maximum(last, -1), dtype=int)
-        chains.root = wp.array(host.body_rootid[bodies], dtype=int)
-        chains.parent = wp.array(host.dof_parentid, dtype=int)
-        chains.lightness = wp.array(host.body_invweight0[bodies, 0].sum(axis=1), dtype=float)
-        shape, self.pushes = (data.nworld, len(bodies)), Pushes()
-        for name, kind in (("force", wp.vec3), ("location", wp.vec3), ("normal", wp.vec3),
-                           ("damping", float), ("drag", float)):  # fmt: skip
-            setattr(self.pushes, name, wp.zeros(shape, dtype=kind))
+        self.chains = struct_of(
+            Chains,
+            last=np.maximum(last, -1),
+            root=host.body_rootid[bodies],
+            parent=host.dof_parentid,
+            lightness=host.body_invweight0[bodies, 0].sum(axis=1),
+        )
+        self.pushes = zeros_of(Pushes, (data.nworld, len(bodies)))
 
     def launch_damping(self, model: mjw.Model, data: mjw.Data) -> None:
         """Write the damping of limits of coordinates."""

@@ -13,13 +13,13 @@ import numpy as np
 import warp as wp
 
 from myowarp.kernels.launch import launch
-from myowarp.kernels.structs import struct_array
+from myowarp.kernels.structs import struct_array, struct_of
 from myowarp.laws.expressions import Programs, Variables, added, programs, run
 from myowarp.laws.forces.bushing import BodyMotion, Bushing, Wrench, bushing_wrench
 from myowarp.laws.forces.coordinate_limit import CoordinateLimit, limit_damping, limit_spring
 from myowarp.laws.forces.ligament import Ligament, ligament_tension
 from myowarp.laws.pieces import PieceTables, evaluated, piece_tables
-from myowarp.osim.bundle.forces import PassiveForces
+from myowarp.osim.bundle.forces import PassiveForces, bushing_table, ligament_table
 
 
 @wp.struct
@@ -313,31 +313,9 @@ class OwnForces:
         formulas = [push.formula for push in acting.pushes]
         joints = [(host.joint(push.joint), push.scale) for push in acting.pushes]
         self.pushes = struct_array(Push, [(j.qposadr[0], j.dofadr[0], scale) for j, scale in joints])
-        self.ligaments = struct_array(
-            Ligament,
-            [
-                (
-                    host.tendon(g.tendon).id,
-                    g.resting_length,
-                    g.dissipation,
-                    g.damping,
-                    added(formulas, () if g.formula is None else (g.formula,)),
-                )
-                for g in acting.ligaments
-            ],
-        )
-        bushings = [
-            (
-                *(host.body(name).id for name in one.bodies),
-                *(part for pair in zip(one.rotations, one.origins, strict=True) for part in pair),
-                one.turn_stiffness,
-                one.shift_stiffness,
-                one.turn_damping,
-                one.shift_damping,
-                added(formulas, one.formulas),
-            )
-            for one in acting.bushings
-        ]
+        tendons = [host.tendon(one.tendon).id for one in acting.ligaments]
+        self.ligaments = ligament_table(acting.ligaments, tendons, formulas)
+        self.bushings = bushing_table(acting.bushings, lambda name: int(host.body(name).id), formulas)
         bodies = [
             (
                 host.body(one.body).id,
@@ -350,17 +328,15 @@ class OwnForces:
             )
             for one in acting.body_pushes
         ]
-        self.bushings = struct_array(Bushing, bushings)
         self.pushed_bodies = struct_array(PushedBody, bodies)
         self.formulas = programs(formulas)
-        self.tree = Tree()
-        for name, array in (
-            ("parent", host.body_parentid),
-            ("root", host.body_rootid),
-            ("first_dof", host.body_dofadr),
-            ("dofs", host.body_dofnum),
-        ):
-            setattr(self.tree, name, wp.array(array, dtype=int))
+        self.tree = struct_of(
+            Tree,
+            parent=host.body_parentid,
+            root=host.body_rootid,
+            first_dof=host.body_dofadr,
+            dofs=host.body_dofnum,
+        )
         self.curves = piece_tables(ligament.curves for ligament in acting.ligaments)
         springs = [host.tendon(name).id for name in acting.springs]
         for name in ("tendon_stiffness", "tendon_stiffnesspoly") if springs else ():

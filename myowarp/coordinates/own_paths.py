@@ -20,7 +20,7 @@ import warp as wp
 
 from myowarp.kernels.batching import batched, num_threads
 from myowarp.kernels.launch import launch
-from myowarp.kernels.structs import struct_array
+from myowarp.kernels.structs import struct_of
 from myowarp.laws.paths.path import Frames, Pulls
 from myowarp.laws.paths.tables import OsimPath, OsimPaths, PathMemory, Via
 from myowarp.laws.pieces import PieceTables, evaluated, piece_tables
@@ -322,17 +322,16 @@ class OwnPaths:
             after = [len(groups), len(moving), len(joints), len(variables)]
             pairs = [number for pair in zip(spans, after, strict=True) for number in pair]
             rows.append((path, *pairs, first, len(columns)))
-        self.rows = RowTables()
-        for name, struct, values in (
-            ("rows", Row, rows),
-            ("groups", Group, groups),
-            ("entries", Entry, entries),
-            ("moving", MovingEntry, moving),
-            ("joints", JointEntry, joints),
-            ("variables", VariableEntry, variables),
-        ):
-            setattr(self.rows, name, struct_array(struct, values))
-        self.rows.handles = wp.array(handles, dtype=int)
+        self.rows = struct_of(
+            RowTables,
+            rows=rows,
+            groups=groups,
+            handles=handles,
+            entries=entries,
+            moving=moving,
+            joints=joints,
+            variables=variables,
+        )
         sizes = np.diff([*begins, len(columns)])
         model.ten_J_rownnz, model.ten_J_rowadr = wp.array(sizes, dtype=int), wp.array(begins, dtype=int)
         model.ten_J_colind, model.max_ten_J_rownnz = wp.array(columns, dtype=int), int(sizes.max(initial=0))
@@ -347,41 +346,16 @@ class OwnPaths:
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Write lengths and Jacobian of all tendons; poses, `cdof` and `subtree_com` are those of qpos."""
-        launch(
-            place_bodies,
-            data.nworld,
-            data,
-            bodies=self.bodies,
-            address=self.address,
-            values=self.values,
-            frames=self.memory.frames,
-            slopes=self.slopes,
-        )
+        launch(place_bodies, data.nworld, self, self.memory, data)
         self.memory.launch()
         threads = num_threads(data.qpos.device, self.rows.rows.shape[0])
-        launch(
-            pull_tendons,
-            (data.nworld, threads),
-            data,
-            tables=self.rows,
-            threads=threads,
-            pulls=self.memory.pulls,
-            slopes=self.slopes,
-        )
+        shape, own = (data.nworld, threads), {"tables": self.rows, "threads": threads}
+        launch(pull_tendons, shape, self, self.memory, data, **own)
 
     def launch_velocity(self, model: mjw.Model, data: mjw.Data) -> None:
         """Add to speeds of tendons and actuators what is not J qvel."""
         if self.drives is not None:
-            launch(
-                add_inner_speeds,
-                data.nworld,
-                model,
-                data,
-                tables=self.rows,
-                drives=self.drives,
-                pulls=self.memory.pulls,
-                slopes=self.slopes,
-            )
+            launch(add_inner_speeds, data.nworld, self, self.memory, model, data, tables=self.rows)
 
 
 def paths_of(host: mujoco.MjModel, model: mjw.Model, data: mjw.Data) -> OwnPaths | None:

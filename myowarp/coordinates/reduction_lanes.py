@@ -6,36 +6,17 @@ import warp as wp
 
 from myowarp.coordinates.reduction import Acting, Damping, Followers, Moments, Reduced
 from myowarp.engine.stages.arrays import InertiaRows
-from myowarp.kernels.lanes import at_namespace_level
+from myowarp.kernels.lanes import at_namespace_level, native_kernel
 
 
-@wp.func_native(at_namespace_level(Path(__file__).with_suffix(".cpp")))
-def declare_reduce_block(thread: int):
-    """Declare the template of `reduction.cpp`."""
-    ...
-
-
-@wp.func_native("""
+@native_kernel(
+    at_namespace_level(Path(__file__).with_suffix(".cpp")),
+    does="""
     lanes::for_blocks(slopes.shape[0], nullptr, scratch.data, [&](auto& block) {
         lanes::reduce_block(block, followers, inertia, damping, acting, moments, slopes, excess, reduced);
     });
-""")
-def reduce_worlds(
-    scratch: wp.array[float],
-    followers: Followers,
-    inertia: InertiaRows,
-    damping: Damping,
-    acting: Acting,
-    moments: Moments,
-    slopes: wp.array2d[float],
-    excess: wp.array2d[float],
-    reduced: Reduced,
-):
-    """Reduce the dynamics of all worlds, a block after the other."""
-    ...
-
-
-@wp.kernel(enable_backward=False)
+    """,
+)
 def reduce_blocks(
     # Params:
     followers: Followers,
@@ -51,6 +32,3 @@ def reduce_blocks(
     reduced: Reduced,
 ):
     """`reduce_dynamics`, to float32 rounding."""
-    thread = wp.tid()
-    declare_reduce_block(thread)
-    reduce_worlds(scratch, followers, inertia, damping, acting, moments, slopes, excess, reduced)

@@ -9,6 +9,8 @@ import mujoco
 import numpy as np
 import warp as wp
 
+from myowarp.kernels.structs import struct_of
+
 MASS_FIELDS = ("body_mass", "body_subtreemass")
 """Names of the model's fields that `set_body_mass` writes per world."""
 
@@ -40,13 +42,14 @@ def weighed_body(model: mujoco.MjModel, name: str) -> WeighedBody:
     size = np.ones(model.nbody, dtype=int)
     for bodyid in range(model.nbody - 1, 0, -1):
         size[model.body_parentid[bodyid]] += size[bodyid]
-    body = WeighedBody()
-    body.bodyid = lineage[0]
-    body.lineage = wp.array(lineage, dtype=int)
-    body.subtree_size = wp.array(size[lineage], dtype=int)
-    body.subtree_mass = wp.array(model.body_subtreemass[lineage], dtype=float)
-    body.mass = wp.array(model.body_mass, dtype=float)
-    return body
+    return struct_of(
+        WeighedBody,
+        bodyid=lineage[0],
+        lineage=lineage,
+        subtree_size=size[lineage],
+        subtree_mass=model.body_subtreemass[lineage],
+        mass=model.body_mass,
+    )
 
 
 @wp.func

@@ -17,6 +17,7 @@ import warp as wp
 
 from myowarp.kernels.cholesky import eliminated, substitute
 from myowarp.kernels.launch import launch
+from myowarp.kernels.structs import zeros_of
 
 ROUNDS = 100
 TOLERANCE = 1e-10
@@ -240,10 +241,7 @@ class BoundedLeastSquares:
             self.right = wp.zeros((num_worlds, num_rows), dtype=wp.float64)
             self.lower, self.upper = wp.zeros(rows, dtype=wp.float64), wp.ones(rows, dtype=wp.float64)
             self.x, self.residual = wp.zeros(rows, dtype=wp.float64), wp.zeros(num_worlds, dtype=wp.float64)
-            self.work = Workspace()
-            self.work.hessian, self.work.factor = (wp.zeros(square, dtype=wp.float64) for _ in range(2))
-            self.work.linear, self.work.step = (wp.zeros(rows, dtype=wp.float64) for _ in range(2))
-            self.work.free = wp.zeros(rows, dtype=int)
+            self.work = zeros_of(Workspace, rows, hessian=square, factor=square)
 
     def solve(self) -> None:
         """Launch the kernel."""

@@ -6,6 +6,7 @@ from mujoco_warp import OverflowType
 from myowarp.kernels.action import FAULT_ACTION
 from myowarp.kernels.observe import pack
 from myowarp.kernels.random import RandomKeys
+from myowarp.kernels.structs import zeros_of
 
 FAULT_NONFINITE = wp.constant(1)
 FAULT_ROWS = wp.constant(2)
@@ -119,32 +120,18 @@ class Masks:
 
 def new_episode_state(num_worlds: int) -> EpisodeState:
     """Return counters on the current Warp device, all 0."""
-    episode = EpisodeState()
-    for count in ("step_count", "life_count", "solved_count"):
-        setattr(episode, count, wp.zeros(num_worlds, dtype=int))
-    episode.ended = wp.zeros(num_worlds, dtype=bool)
-    return episode
+    return zeros_of(EpisodeState, num_worlds)
 
 
 def new_transition(num_worlds: int, obs_size: int, num_terms: int) -> Transition:
     """Return step results on the current Warp device, all 0."""
-    transition = Transition()
-    transition.obs = wp.zeros((num_worlds, obs_size), dtype=float)
-    transition.terms = wp.zeros((num_worlds, num_terms), dtype=float)
-    transition.reward = wp.zeros(num_worlds, dtype=float)
-    transition.fault = wp.zeros(num_worlds, dtype=int)
-    transition.fault_index = wp.zeros(num_worlds, dtype=int)
-    for flag in ("solved", "failed", "success", "terminated", "truncated"):
-        setattr(transition, flag, wp.zeros(num_worlds, dtype=bool))
-    return transition
+    obs, terms = (num_worlds, obs_size), (num_worlds, num_terms)
+    return zeros_of(Transition, num_worlds, obs=obs, terms=terms)
 
 
 def new_masks(num_worlds: int) -> Masks:
     """Return masks on the current Warp device, all False."""
-    masks = Masks()
-    for mask in ("live", "renew", "reset", "fresh"):
-        setattr(masks, mask, wp.zeros(num_worlds, dtype=bool))
-    return masks
+    return zeros_of(Masks, num_worlds)
 
 
 @wp.kernel(enable_backward=False)

@@ -12,8 +12,11 @@ what an earlier one wrote is in lanes then, and is not gathered again. So a func
 overwrites before it asks to write it.
 """
 
+import inspect
 import math
+from collections.abc import Callable
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 import warp as wp
@@ -38,6 +41,48 @@ def at_namespace_level(*sources: Path, **constants: float) -> str:
     texts = [f"constexpr {kind} {name} = {constants[name]!r};\n" for name, kind in kinds.items()]
     texts += [file.read_text() for file in (Path(__file__).with_name("lanes.cpp"), *sources)]
     return f"}}\n{''.join(texts)}static inline void after_{sources[-1].stem}() {{"
+
+
+def native_kernel(
+    *declared: str, does: str, module: str | None = None
+) -> Callable[[Callable[..., None]], wp.Kernel]:
+    """Return a decorator that makes a kernel of a signature and its docstring: one thread runs C++.
+
+    Args:
+        *declared: What `at_namespace_level` returned: templates that the C++ uses.
+        does: The C++; parameters have their names in it.
+        module: Warp's module in which to compile it; None: that of the signature.
+    """
+
+    def kernel_of(signature: Callable[..., None]) -> wp.Kernel:
+        name, parameters = signature.__name__, ", ".join(inspect.signature(signature).parameters)
+        calls = {f"declare_{k}": text for k, text in enumerate(declared)}
+        natives = {call: _native(_of_thread, f"{call}_of_{name}", text) for call, text in calls.items()}
+        natives["act"] = _native(signature, f"act_of_{name}", does)
+        lines = ("thread = wp.tid()", *(f"{call}(thread)" for call in calls), f"act({parameters})")
+        source = f"def {name}({parameters}):\n" + "".join(f"    {line}\n" for line in lines)
+        function = _renamed(signature, name, {"wp": wp, **natives})
+        of = wp.get_module(signature.__module__ if module is None else module)
+        return wp.Kernel(function, name, of, options={"enable_backward": False}, source=source)
+
+    return kernel_of
+
+
+def _of_thread(thread: int) -> None:
+    """Stand for the signature of a native function that declares templates."""
+
+
+def _native(signature: Any, name: str, text: str) -> wp.Function:
+    """Return a native function of a signature, under another name."""
+    return wp.func_native(text)(_renamed(signature, name, {}))
+
+
+def _renamed(signature: Any, name: str, scope: dict[str, Any]) -> FunctionType:
+    """Return a function under another name, which finds more in its scope."""
+    found = FunctionType(signature.__code__, signature.__globals__ | scope, name, None, signature.__closure__)
+    found.__annotations__, found.__module__ = signature.__annotations__, signature.__module__
+    found.__qualname__, found.__doc__ = name, signature.__doc__
+    return found
 
 
 def block_scratch(device: wp.Device, *owners: Any) -> wp.array[float]:

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 import numpy as np
 import warp as wp
 
+from myowarp.kernels.structs import zeros_of
 from myowarp.kernels.write import write
 
 GOAL = wp.constant(0)
@@ -32,10 +33,7 @@ class RandomKeys:
 
 def new_keys(num_worlds: int) -> RandomKeys:
     """Return keys on the current Warp device, all 0."""
-    keys = RandomKeys()
-    keys.seed = wp.zeros(num_worlds, dtype=wp.int32)
-    keys.episode = wp.zeros(num_worlds, dtype=wp.int32)
-    return keys
+    return zeros_of(RandomKeys, num_worlds)
 
 
 def seed_worlds(keys: RandomKeys, mask: np.ndarray, seeds: Iterable[int]) -> None:

@@ -16,19 +16,40 @@ import warp as wp
 KNOTS = 1024
 
 
+@wp.struct
+class CurveTables:
+    """Curves for `tabulated`.
+
+    Attributes:
+        values: y and spacing dy/dx at the knots of each, (curves, KNOTS).
+        spans: First x and 1 / spacing of each.
+    """
+
+    values: wp.array2d[wp.vec2]
+    spans: wp.array[wp.vec2]
+
+
+@wp.struct
+class CurveTables64:
+    """The same in float64."""
+
+    values: wp.array2d[wp.vec2d]
+    spans: wp.array[wp.vec2d]
+
+
 @wp.func
-def tabulated(values: wp.array2d[Any], spans: wp.array[Any], curve: int, x: Any):
+def tabulated(tables: Any, curve: int, x: Any):
     """(y, dy/dx) of a curve: with t the place between two knots and m = spacing dy/dx there,
 
     y = y0 + t (m0 + t (3 (y1 - y0) - 2 m0 - m1 + t (m0 + m1 - 2 (y1 - y0)))), beyond the ends y + t m.
     """
     zero, one, two, three = type(x)(0.0), type(x)(1.0), type(x)(2.0), type(x)(3.0)
-    span = spans[curve]
-    last = values.shape[1] - 2
+    span = tables.spans[curve]
+    last = tables.values.shape[1] - 2
     place = (x - span[0]) * span[1]
     knot = int(wp.clamp(place, zero, type(x)(last)))
     t = place - type(x)(knot)
-    left, right = values[curve, knot], values[curve, knot + 1]
+    left, right = tables.values[curve, knot], tables.values[curve, knot + 1]
     if t < zero:
         return wp.vector(left[0] + t * left[1], left[1] * span[1])
     if t > one:

@@ -15,6 +15,7 @@ import numpy as np
 import warp as wp
 
 from myowarp.kernels.launch import launch
+from myowarp.kernels.structs import struct_of
 from myowarp.laws.pieces import Pieces, PieceTables, chain_of, evaluated, piece_tables
 
 NULLARY = ("number", "variable")
@@ -140,12 +141,13 @@ def programs(expressions: Iterable[Expression]) -> Programs:
         for name, number in one.code:
             code.append((CODES[name], number + len(curves) if name == "curve" else number))
         curves += one.curves
-    tables = Programs()
-    tables.first = wp.array(np.cumsum([0, *(len(one.code) for one in kept)], dtype=np.int32), dtype=int)
-    tables.op = wp.array(np.array([op for op, _ in code] or [0], np.int32), dtype=int)
-    tables.number = wp.array(np.array([number for _, number in code] or [0.0]), dtype=wp.float64)
-    tables.curves = piece_tables(curves)
-    return tables
+    return struct_of(
+        Programs,
+        first=np.cumsum([0, *(len(one.code) for one in kept)]),
+        op=[op for op, _ in code] or [0],
+        number=[number for _, number in code] or [0.0],
+        curves=piece_tables(curves),
+    )
 
 
 @wp.func

@@ -14,6 +14,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
+from myowarp.kernels.structs import struct_of
+
 EVERYWHERE = (-np.inf, np.inf)
 
 
@@ -149,13 +151,18 @@ def evaluated(tables: PieceTables, number: int, x: wp.float64) -> wp.vec3d:
 def piece_tables(chains: Iterable[tuple[Pieces, ...]]) -> PieceTables:
     """Return functions on the current Warp device."""
     chains = list(chains)
+    held = [curve.held for chain in chains for curve in chain] or [(0.0, 0.0)]
+    return struct_of(PieceTables, held=held, **packed(chains))
+
+
+def packed(chains: Sequence[tuple[Pieces, ...]]) -> dict[str, np.ndarray]:
+    """Return breaks and coefficients of functions and where they begin, as `PieceTables` has them."""
     curves = [curve for chain in chains for curve in chain]
     terms = max((len(row) for curve in curves for row in curve.coefficients), default=1)
     table = [(*row, *[0.0] * (terms - len(row))) for curve in curves for row in curve.coefficients]
-    tables = PieceTables()
-    tables.first_curve = wp.array(np.cumsum([0, *map(len, chains)]), dtype=int)
-    tables.first_piece = wp.array(np.cumsum([0, *(len(curve.breaks) for curve in curves)]), dtype=int)
-    tables.held = wp.array([curve.held for curve in curves] or [(0.0, 0.0)], dtype=wp.vec2d)
-    tables.breaks = wp.array([b for curve in curves for b in curve.breaks] or [0.0], dtype=wp.float64)
-    tables.coefficients = wp.array(np.array(table or [(0.0,) * terms]), dtype=wp.float64)
-    return tables
+    return {
+        "first_curve": np.cumsum([0, *map(len, chains)]),
+        "first_piece": np.cumsum([0, *(len(curve.breaks) for curve in curves)]),
+        "breaks": np.array([b for curve in curves for b in curve.breaks] or [0.0]),
+        "coefficients": np.array(table or [(0.0,) * terms]),
+    }

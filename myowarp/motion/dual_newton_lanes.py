@@ -7,7 +7,7 @@ from pathlib import Path
 
 import warp as wp
 
-from myowarp.kernels.lanes import DOUBLES, WIDEST, at_namespace_level
+from myowarp.kernels.lanes import DOUBLES, WIDEST, at_namespace_level, native_kernel
 from myowarp.kernels.launch import launch
 from myowarp.motion import dual_newton
 from myowarp.motion.dual_newton import Problem
@@ -20,29 +20,10 @@ CONSTANTS: dict[str, float] = {
 wp.set_module_options({"enable_backward": False})
 
 
-@wp.func_native(at_namespace_level(DOUBLES, Path(__file__).with_suffix(".cpp"), **CONSTANTS))
-def declare_optimize_runs(thread: int):
-    """Declare the template of `dual_newton_lanes.cpp`."""
-    ...
-
-
-@wp.func_native("""
-    lanes::optimize_runs(scratch.data, problem, first, dual, activation, missing, residual);
-""")
-def optimize_all_runs(
-    scratch: wp.array[wp.float64],
-    problem: Problem,
-    first: wp.array[int],
-    dual: wp.array2d[wp.float64],
-    activation: wp.array2d[wp.float64],
-    missing: wp.array2d[wp.float64],
-    residual: wp.array[wp.float64],
-):
-    """Solve all runs, as many at a time as there are lanes."""
-    ...
-
-
-@wp.kernel(enable_backward=False)
+@native_kernel(
+    at_namespace_level(DOUBLES, Path(__file__).with_suffix(".cpp"), **CONSTANTS),
+    does="lanes::optimize_runs(scratch.data, problem, first, dual, activation, missing, residual);",
+)
 def optimize_activations_in_lanes(
     # In:
     problem: Problem,
@@ -55,9 +36,6 @@ def optimize_activations_in_lanes(
     residual: wp.array[wp.float64],
 ):
     """`optimize_activations` for p = 2, to rounding."""
-    thread = wp.tid()
-    declare_optimize_runs(thread)
-    optimize_all_runs(scratch, problem, first, dual, activation, missing, residual)
 
 
 def optimize_in_lanes(problem: Problem, first: wp.array[int], dual: wp.array2d[wp.float64], **out: wp.array):

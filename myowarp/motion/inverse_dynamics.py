@@ -17,6 +17,7 @@ import warp as wp
 
 from myowarp.kernels.batching import batched
 from myowarp.kernels.launch import launch
+from myowarp.kernels.structs import zeros_of
 from myowarp.laws.forces.bushing import bushing_wrench
 from myowarp.osim.body.contacts import Contacts, contacts_along
 from myowarp.osim.body.model_forces import (
@@ -294,11 +295,10 @@ def inverse_dynamics(
     pushing = passive and acting.any
 
     def solve(c: slice) -> tuple[np.ndarray, ...]:
-        count, flow = len(loading[c]), Flow()
+        count = len(loading[c])
         with wp.ScopedDevice(bones.device):
             placement = bones.placement(count)
-            for name in ("turn", "spin", "acceleration", "force", "torque"):
-                setattr(flow, name, wp.zeros((count, len(bones.bodies) - 1), dtype=wp.vec3d))
+            flow = zeros_of(Flow, (count, len(bones.bodies) - 1))
             moment = wp.zeros((count, len(bones.coordinates)), dtype=wp.float64)
             pushed = wp.zeros((count, len(bones.coordinates) * pushing), dtype=wp.float64)
             launch(

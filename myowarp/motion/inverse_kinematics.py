@@ -26,6 +26,7 @@ import warp as wp
 from myowarp.kernels.batching import batched
 from myowarp.kernels.cholesky import eliminated, substitute
 from myowarp.kernels.launch import launch
+from myowarp.kernels.structs import struct_of, zeros_of
 from myowarp.motion.markers import Markers
 from myowarp.motion.storage import logger
 from myowarp.osim.body.parts import in_parts
@@ -624,10 +625,8 @@ def targets_of(
         if name in still:
             bounds[number] = (model.coordinates[name].default,) * 2
     lower, upper = np.array(bounds, float).reshape(-1, 2).T
-    targets = Targets()
-    targets.body, targets.sensor_body = wp.zeros(0, dtype=int), wp.zeros(0, dtype=int)
-    for name, array in (("value", wanted), ("value_weight", pull), ("lower", lower), ("upper", upper)):
-        setattr(targets, name, wp.array(array, dtype=wp.float64))
+    none = dict.fromkeys(("body", "sensor_body"), np.zeros(0, int))
+    targets = struct_of(Targets, **none, value=wanted, value_weight=pull, lower=lower, upper=upper)
     return targets, (lower, upper)
 
 
@@ -638,22 +637,14 @@ def _run(
     bodies, free = len(bones.bodies) - 1, len(bones.coordinates)
 
     def solve(part: slice) -> None:
-        heads, normal = first[part], Normal()
-        worlds = len(heads)
+        heads, worlds = first[part], len(first[part])
         with wp.ScopedDevice(bones.device):
-            for name, shape, kind in (
-                ("weight", (worlds, bodies), wp.float64),
-                ("first", (worlds, bodies), wp.vec3d),
-                ("second", (worlds, bodies), wp.mat33d),
-                ("force", (worlds, bodies), wp.vec3d),
-                ("torque", (worlds, bodies), wp.vec3d),
-                ("matrix", (worlds, free, free), wp.float64),
-                ("factor", (worlds, free, free), wp.float64),
-                ("slope", (worlds, free), wp.float64),
-                ("step", (worlds, free), wp.float64),
-                ("old", (worlds, free), wp.float64),
-            ):
-                setattr(normal, name, wp.zeros(shape, dtype=kind))
+            normal = zeros_of(
+                Normal,
+                **dict.fromkeys(("weight", "first", "second", "force", "torque"), (worlds, bodies)),
+                **dict.fromkeys(("matrix", "factor"), (worlds, free, free)),
+                **dict.fromkeys(("slope", "step", "old"), (worlds, free)),
+            )
             launch(
                 solve_inverse_kinematics,
                 worlds,

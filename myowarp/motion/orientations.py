@@ -20,11 +20,11 @@ from myowarp.disk import make_folder
 from myowarp.motion.headers import Header
 from myowarp.motion.setup_words import file_of
 from myowarp.motion.storage import Rows, rows_between
-from myowarp.osim.body.scale_document import Document
 from myowarp.osim.document.kinematics import about, complete, forward
 from myowarp.osim.document.model import GROUND, Model
 from myowarp.osim.document.read.element import Element, parse, write
 from myowarp.osim.document.read.frames import TURN, say_radians
+from myowarp.osim.document.read.model import Document
 
 SUFFIX = "_imu"
 """Of a sensor's name, after that of its body."""

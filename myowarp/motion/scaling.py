@@ -24,11 +24,12 @@ from myowarp.motion.markers import Markers, read_trc, say_unmatched
 from myowarp.motion.movement import write_angles
 from myowarp.motion.setup_words import Span, body_of, file_of, span_of
 from myowarp.motion.tasks import Tasks, tasks_of
-from myowarp.osim.body.scale_document import Document, scale_document, set_markers
+from myowarp.osim.body.scale_document import scale_document
 from myowarp.osim.body.skeleton import Bones
 from myowarp.osim.document.kinematics import complete, forward, station
 from myowarp.osim.document.model import GROUND, Model
 from myowarp.osim.document.read.element import Element, parse, write
+from myowarp.osim.document.read.model import Document, set_markers
 
 AXES = ("X", "Y", "Z")
 UNSTATED = (-1.0, -1.0)

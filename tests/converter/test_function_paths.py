@@ -13,7 +13,7 @@ from myowarp.kernels.launch import launch
 from myowarp.laws.paths.path import MOST_VARIABLES, follow_paths
 from myowarp.laws.paths.tables import OsimPath, OsimPaths, PathMemory, Polynomial, Via
 from myowarp.osim.body.muscle_paths import PathsOfMuscles, muscle_paths
-from myowarp.osim.body.scale_document import Document, read_with, scale_document
+from myowarp.osim.body.scale_document import scale_document
 from myowarp.osim.body.skeleton import Bones
 from myowarp.osim.convert.function_paths import (
     ARM,
@@ -22,10 +22,9 @@ from myowarp.osim.convert.function_paths import (
     fit_function_paths,
     write_function_paths,
 )
-from myowarp.osim.document.kinematics import sampling_range
 from myowarp.osim.document.read.element import parse
 from myowarp.osim.document.read.functions import exponents
-from myowarp.osim.document.read.model import read_model
+from myowarp.osim.document.read.model import Document, read_model
 
 OSIM = Path(__file__).parents[1] / "data/osim"
 LEG = OSIM / "leg6dof9musc.osim"
@@ -168,8 +167,8 @@ def test_fits_are_as_near_as_they_say(tmp_path):
     assert len(fitted) == len(bones.model.muscles)
     file = tmp_path / "paths.xml"
     write_function_paths(file, bones.model, fitted)
-    functions = Bones(read_with(LEG, function_paths=file))
-    low, high = np.array([sampling_range(bones.model, name) for name in bones.coordinates]).T
+    functions = Bones(read_model(LEG, function_paths=file))
+    low, high = np.array([bones.model.coordinates[name].sampling_range for name in bones.coordinates]).T
     values = np.random.default_rng(7).uniform(low, high, size=(500, len(low)))
     still = np.zeros_like(values)
     theirs, found = muscle_paths(bones, values, still), muscle_paths(functions, values, still)

@@ -12,7 +12,7 @@ from myowarp.osim.convert.check.oracle import opensim_equations
 from myowarp.osim.convert.compose.binary import stiff
 from myowarp.osim.convert.compose.convert import convert
 from myowarp.osim.document.dynamics import equations
-from myowarp.osim.document.kinematics import independent, random_poses
+from myowarp.osim.document.kinematics import random_poses
 from myowarp.osim.document.read.model import read_model
 from myowarp.sim.converted_step import OurStep
 
@@ -31,7 +31,7 @@ def test_accelerations_equal_recorded(name):
     """In states with velocities, gravity and forces."""
     recorded = np.load(DATA / "opensim" / f"accelerations_{name}.npz")
     model = read_model(DATA / "osim" / f"{name}.osim")
-    free = independent(model)
+    free = model.independent
     order = [recorded["coordinates"].tolist().index(key) for key in free]
     values, speeds, forces = (recorded[key][:, order] for key in ("values", "speeds", "forces"))
     M, c = equations(model, dict(zip(free, values.T, strict=True)), speeds)
@@ -46,7 +46,7 @@ def test_equations_are_those_of_opensim(name):
     pytest.importorskip("opensim")
     source = DATA / "osim" / f"{name}.osim"
     model = read_model(source)
-    values = {key: value for key, value in random_poses(model, 5, 1).items() if key in independent(model)}
+    values = {key: value for key, value in random_poses(model, 5, 1).items() if key in model.independent}
     speeds = np.random.default_rng(0).uniform(-3, 3, (5, len(values)))
     for found, wanted in zip(
         equations(model, values, speeds), opensim_equations(source, model, values, speeds), strict=True

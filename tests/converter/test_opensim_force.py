@@ -9,8 +9,8 @@ from opensim_muscles import load
 from reference import mujoco_muscle as reference
 
 from myowarp.osim.body.activation import activation_dynamics
+from myowarp.osim.body.hill_curves import SPLINES
 from myowarp.osim.body.hill_muscle import HillMuscle
-from myowarp.osim.body.spline_tables import SPLINES
 
 pytest.importorskip("scipy")
 

@@ -5,8 +5,8 @@ import pytest
 from opensim_muscles import DATA, load, read_muscles, write_muscles
 from reference import hill as reference
 
+from myowarp.osim.body.hill_curves import PASSIVE, SPLINES
 from myowarp.osim.body.hill_muscle import HillMuscle, known
-from myowarp.osim.body.spline_tables import PASSIVE, SPLINES
 from myowarp.osim.document.model import Muscle
 from myowarp.osim.document.read.muscle_defaults import DEFAULTS
 

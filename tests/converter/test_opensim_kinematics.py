@@ -22,9 +22,7 @@ from myowarp.osim.document.functions import (
 from myowarp.osim.document.kinematics import (
     complete,
     forward,
-    independent,
     random_poses,
-    sampling_range,
     station,
 )
 from myowarp.osim.document.read.model import read_model
@@ -55,7 +53,7 @@ def test_frames_equal_recorded(name):
     recorded = np.load(DATA / "opensim" / f"frames_{name}.npz")
     given = dict(zip(recorded["coordinates"], recorded["values"].T, strict=True))
     assert set(given) == set(model.coordinates)
-    chosen = {key: given[key] for key in independent(model)}
+    chosen = {key: given[key] for key in model.independent}
     values = complete(model, chosen, len(recorded["values"]))
     for key, value in values.items():
         np.testing.assert_allclose(value, given[key], atol=ROUNDING, err_msg=key)
@@ -99,12 +97,12 @@ def test_frames_equal_live(path, tmp_path):
 def test_poses_stay_in_range_and_follow_couplers():
     model = read_model(DATA / "osim" / "joints.osim")
     poses = random_poses(model, 50, 3)
-    for name in independent(model):
-        low, high = sampling_range(model, name)
+    for name in model.independent:
+        low, high = model.coordinates[name].sampling_range
         assert low <= poses[name].min() < poses[name].max() <= high
     np.testing.assert_array_equal(poses["stuck"], 0.4)
     np.testing.assert_allclose(poses["patella_2"], 0.05 * poses["patella"] + 0.01)
-    assert sampling_range(model, "patella") == pytest.approx((0.1 - np.pi / 2, 0.1 + np.pi / 2))
+    assert model.coordinates["patella"].sampling_range == pytest.approx((0.1 - np.pi / 2, 0.1 + np.pi / 2))
     with pytest.raises(ValueError, match="coordinate 'bent' unknown; available: slide, "):
         complete(model, {"bent": np.zeros(1)}, 1)
 

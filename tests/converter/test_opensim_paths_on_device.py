@@ -12,8 +12,7 @@ from reference.osim_paths.path import solve as reference_solve
 from myowarp.laws.paths.tables import TURNS, PathMemory
 from myowarp.osim.body.described import described
 from myowarp.osim.body.moment_arm import crossed, own_reference, poses_of
-from myowarp.osim.body.on_device import lengths_and_moment_arms
-from myowarp.osim.body.path_solution import solve
+from myowarp.osim.body.path_solution import lengths_and_moment_arms, solve
 from myowarp.osim.document.elements import (
     ConditionalPathPoint,
     MovingPathPoint,
@@ -23,7 +22,7 @@ from myowarp.osim.document.elements import (
     Pose,
 )
 from myowarp.osim.document.functions import Linear, Polynomial, SimmSpline
-from myowarp.osim.document.kinematics import about, forward, independent, random_poses
+from myowarp.osim.document.kinematics import about, forward, random_poses
 from myowarp.osim.document.model import WrapObject
 from myowarp.osim.document.read.model import read_model
 
@@ -49,7 +48,7 @@ def recorded(name, kind="paths"):
 
 def followed(model, paths, values, guard=0.0):
     """Return paths in poses, the coordinates at rest."""
-    speeds = np.zeros((len(next(iter(values.values()))), len(independent(model))))
+    speeds = np.zeros((len(next(iter(values.values()))), len(model.independent)))
     return lengths_and_moment_arms(model, paths, values, speeds, guard)
 
 
@@ -59,7 +58,7 @@ def followed(model, paths, values, guard=0.0):
 def test_recorded_lengths_and_moment_arms(name, kind):
     model, arrays = recorded(name, kind)
     values = dict(zip(arrays["coordinates"].tolist(), arrays["values"].T, strict=True))
-    free, muscles = independent(model), arrays["muscles"].tolist()
+    free, muscles = model.independent, arrays["muscles"].tolist()
     paths = {muscle: model.muscles[muscle].path for muscle in muscles}
     found = followed(model, paths, {name: values[name] for name in free})
     assert np.abs(found.length - arrays["length"]).max() < LENGTH_TOLERANCE
@@ -119,7 +118,7 @@ def hostile(seed):
 def test_hostile_paths_go_as_in_numpy(seed):
     model, paths = hostile(seed)
     values = random_poses(model, 23, seed)
-    free, frames = independent(model), forward(model, values)
+    free, frames = model.independent, forward(model, values)
     with np.errstate(all="ignore"):
         references = [reference_solve(model, path, frames, values) for path in paths.values()]
         solutions = [solve(model, path, frames, values) for path in paths.values()]
@@ -141,7 +140,7 @@ def test_hostile_paths_go_as_in_numpy(seed):
 
 def test_hostile_moment_arms_and_speeds():
     model, paths = hostile(1)
-    free = independent(model)
+    free = model.independent
     values = {name: value for name, value in random_poses(model, 13, 1).items() if name in free}
     speeds = np.random.default_rng(2).normal(size=(13, len(free)))
     with np.errstate(all="ignore"):
@@ -186,7 +185,7 @@ def test_the_guard_bounds_a_path_and_counts():
     for number in range(400):
         points = [PathPoint(str(k), "r_humerus", random.uniform(-0.3, 0.3, 3)) for k in range(2)]
         paths[str(number)] = Path(tuple(points), over)
-    values = {name: np.zeros(1) for name in independent(model)}
+    values = {name: np.zeros(1) for name in model.independent}
     with np.errstate(all="ignore"):
         free, held = followed(model, paths, values), followed(model, paths, values, TURNS)
         chain = followed(model, {n: Path(p.points, ()) for n, p in paths.items()}, values)

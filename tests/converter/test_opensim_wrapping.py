@@ -14,7 +14,7 @@ from myowarp.osim.convert.tendon.choice import fit_path
 from myowarp.osim.convert.tendon.fit import PathProblem, fit_surfaces, turn_sides
 from myowarp.osim.convert.tendon.path import Over, TendonPath, Via, lengths
 from myowarp.osim.convert.tendon.surface import Surface, over_surface
-from myowarp.osim.document.kinematics import independent, random_poses
+from myowarp.osim.document.kinematics import random_poses
 from myowarp.osim.document.read.model import read_model
 
 OSIM = Path(__file__).parents[1] / "data" / "osim"
@@ -120,7 +120,7 @@ def test_gradients_are_differences(kind, mode):
 def disturbed():
     """Return the problem of a muscle whose path has a surface, and a path with a wrong surface."""
     model = read_model(OSIM / "arm26.osim")
-    poses = poses_of(model, random_poses(model, 100, 0), independent(model))
+    poses = poses_of(model, random_poses(model, 100, 0), model.independent)
     path = model.muscles["BRA"].path
     (over,) = (exact := fit_path(model, "BRA", path, poses).tendon).surfaces
     wrong = Surface(
@@ -146,7 +146,7 @@ def test_a_wrong_surface_is_found_again(method, share):
 def test_a_side_is_turned_to_where_the_point_is_let_go():
     """A path that OpenSim lets go of a conditional point keeps it with a side in the mean direction."""
     model = read_model(OSIM / "gait10dof18musc.osim")
-    poses = poses_of(model, random_poses(model, 150, 0), independent(model))
+    poses = poses_of(model, random_poses(model, 150, 0), model.independent)
     path = model.muscles["iliopsoas_r"].path
     problem = PathProblem(model, "iliopsoas_r", path, poses, None)
     point = path.points[2]
@@ -159,7 +159,7 @@ def test_a_side_is_turned_to_where_the_point_is_let_go():
 def test_side_sites_are_added():
     """A conditional point on the way over the hip, whose frames are exact: the path may leave one side."""
     model = read_model(OSIM / "leg6dof9musc.osim")
-    poses = poses_of(model, random_poses(model, 40, 0), independent(model))
+    poses = poses_of(model, random_poses(model, 40, 0), model.independent)
     path = model.muscles["psoas_r"].path
     fit = fit_path(model, "psoas_r", path, poses)
     assert any(over.surface.side is not None for over in fit.tendon.surfaces)
@@ -184,12 +184,12 @@ def test_side_sites_are_added():
 def test_compiled_tendons(name):
     """Length and moment arms of the compiled model, in poses that the fit has not seen."""
     model = read_model(OSIM / f"{name}.osim")
-    poses = poses_of(model, random_poses(model, 150, 0), independent(model))
+    poses = poses_of(model, random_poses(model, 150, 0), model.independent)
     fits = {key: fit_path(model, key, muscle.path, poses) for key, muscle in model.muscles.items()}
     converted = convert(model, stages=Stages(tendons={key: fit.tendon for key, fit in fits.items()}))
     compiled = converted.spec.compile()
     free = converted.coordinates.free()
-    poses = poses_of(model, random_poses(model, 100, 1), independent(model))
+    poses = poses_of(model, random_poses(model, 100, 1), model.independent)
     found = motion(converted, compiled, poses)
     errors = []
     for muscle, fit in fits.items():

@@ -10,7 +10,6 @@ from myowarp.coordinates import free_coordinates
 from myowarp.osim.bundle.loops import settled
 from myowarp.osim.convert.check.engines import States
 from myowarp.osim.convert.compose.convert import Options, convert
-from myowarp.osim.document.kinematics import independent
 from myowarp.osim.document.read.model import read_model
 from myowarp.sim.converted_step import OurStep
 
@@ -35,7 +34,7 @@ def looped():
 def off(looped):
     """Return errors of accelerations in all states, shares of their size."""
     model, converted, spec = looped
-    order = [NAMES.index(name) for name in independent(model)]
+    order = [NAMES.index(name) for name in model.independent]
     values, speeds, forces, wanted = (
         RECORDED[key][:, order] for key in ("values", "speeds", "forces", "accelerations")
     )

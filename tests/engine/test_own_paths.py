@@ -11,11 +11,11 @@ from myowarp.coordinates.step import step_of
 from myowarp.definitions.body import BODIES
 from myowarp.laws.paths.tables import TURNS, OsimPath, OsimPaths, Over, Via, WrapSurface
 from myowarp.models.bodies.from_file import register_body
-from myowarp.osim.body.on_device import lengths_and_moment_arms
+from myowarp.osim.body.path_solution import lengths_and_moment_arms
 from myowarp.osim.bundle.mjcf import mjcf
 from myowarp.osim.bundle.paths import DocumentPaths
 from myowarp.osim.convert.compose.convert import convert
-from myowarp.osim.document.kinematics import independent, random_poses
+from myowarp.osim.document.kinematics import random_poses
 from myowarp.osim.document.read.model import read_model
 from myowarp.sim.build import compile_scene, stepped_of
 from myowarp.tasks.from_file import pose_task
@@ -51,7 +51,7 @@ def beyond(model, values):
 def test_tendons_are_opensims_paths(name, within, tmp_path):
     """Lengths, moment arms and speeds of all muscles; the tendons of the same names are far off."""
     converted, path = written(tmp_path, name)
-    model, free = converted.model, independent(converted.model)
+    model, free = converted.model, converted.model.independent
     paths = {muscle: one.path for muscle, one in model.muscles.items()}
     values = random_poses(model, WORLDS, 3)
     values = values if within else beyond(model, values)

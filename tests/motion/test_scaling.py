@@ -12,11 +12,11 @@ from myowarp.apps.cli.motion.scale import FILES, Scale
 from myowarp.motion.markers import Markers, write_trc
 from myowarp.motion.scaling import read_setup, scale, window
 from myowarp.osim.body.muscle_paths import muscle_paths
-from myowarp.osim.body.scale_document import Document, scale_document, scaled_inertia, set_markers
+from myowarp.osim.body.scale_document import scale_document, scaled_inertia
 from myowarp.osim.body.skeleton import Bones
 from myowarp.osim.document.kinematics import complete, forward
 from myowarp.osim.document.read.element import parse, write
-from myowarp.osim.document.read.model import read_model
+from myowarp.osim.document.read.model import Document, read_model, set_markers
 
 DATA = Path(__file__).parents[1] / "data"
 MODELS = ("arm26", "ellipsoids", "gait10dof18musc", "joints", "leg6dof9musc", "old")

@@ -17,11 +17,10 @@ from myowarp.motion.setup import TrialSetup
 from myowarp.motion.steps import kinematics_of_sensors
 from myowarp.motion.storage import read_storage
 from myowarp.motion.tool_setup import read_tool_setup
-from myowarp.osim.body.scale_document import Document
 from myowarp.osim.body.skeleton import Bones
 from myowarp.osim.document.read.element import parse, write
 from myowarp.osim.document.read.frames import euler_xyz
-from myowarp.osim.document.read.model import read_model
+from myowarp.osim.document.read.model import Document, read_model
 
 DATA = Path(__file__).parents[1] / "data"
 MODEL = DATA / "osim" / "sensors.osim"

@@ -10,10 +10,10 @@ import pytest
 from myowarp.motion.metabolic_power import metabolic_power
 from myowarp.motion.muscle_forces import muscle_forces, rigid_capacity
 from myowarp.motion.storage import read_storage
+from myowarp.osim.body.hill_curves import SPLINES
 from myowarp.osim.body.hill_muscle import HillMuscle, known
 from myowarp.osim.body.muscle_paths import muscle_paths
 from myowarp.osim.body.skeleton import Bones
-from myowarp.osim.body.spline_tables import SPLINES
 from myowarp.osim.body.steady_muscles import SteadyMuscles
 from myowarp.osim.document.read.model import read_model
 from myowarp.osim.document.read.muscle_defaults import DEFAULTS

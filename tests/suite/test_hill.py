@@ -21,15 +21,16 @@ from myowarp.definitions.muscle import MUSCLES
 from myowarp.definitions.muscle_table import MuscleTable
 from myowarp.definitions.task import TASKS
 from myowarp.kernels.launch import launch
-from myowarp.laws.curves import tabulated
+from myowarp.kernels.structs import struct_of
+from myowarp.laws.curves import CurveTables, CurveTables64, tabulated
 from myowarp.laws.millard_curves import millard_curves
 from myowarp.laws.muscles import hill_law
 from myowarp.laws.muscles.hill_law import DEGROOTE, MILLARD, SCHUTTE, THELEN
 from myowarp.models.muscles import hill, hill_kernels
 from myowarp.models.muscles.hill import Hill
 from myowarp.models.muscles.hill_native import native_contract_hill
+from myowarp.osim.body.hill_curves import SPLINES
 from myowarp.osim.body.hill_muscle import HillMuscle
-from myowarp.osim.body.spline_tables import SPLINES
 from myowarp.osim.document.read.muscle_defaults import DEFAULTS
 from myowarp.sim.build import compile_scene, oracle_model
 
@@ -60,50 +61,45 @@ wp.set_module_options({"enable_backward": False, "optimization_level": 0})
 
 
 @wp.func
-def tendon_force(m: Any, tables: wp.array2d[Any], spans: wp.array[Any], a: Any, length: Any, tolerance: Any):
+def tendon_force(m: Any, tables: Any, a: Any, length: Any, tolerance: Any):
     """Static tendon force [F_max]."""
     zero, one = type(length)(0.0), type(length)(1.0)
     slack = length - m.tendon_slack_length
     if m.rigid == 1:
-        pull = hill_law.fiber_pull(
-            m, tables, spans, a, one, wp.max(slack, m.shortest_fiber), zero, zero, zero
-        )
+        pull = hill_law.fiber_pull(m, tables, a, one, wp.max(slack, m.shortest_fiber), zero, zero, zero)
         return wp.where(slack > m.shortest_fiber, wp.max(pull[0], zero), zero)
-    found = hill_law.equilibrium(m, tables, spans, a, one, length, zero, zero, zero, slack, tolerance)
+    found = hill_law.equilibrium(m, tables, a, one, length, zero, zero, zero, slack, tolerance)
     return wp.max(found[1], zero)
 
 
 @wp.kernel
 def static_32(
     m: wp.array2d[hill_law.HillMuscle],
-    tables: wp.array2d[wp.vec2],
-    spans: wp.array[wp.vec2],
+    tables: CurveTables,
     a: wp.array2d[wp.float32],
     length: wp.array2d[wp.float32],
     force: wp.array3d[wp.float32],
 ):
     pose, act, i = wp.tid()
-    force[pose, act, i] = tendon_force(m[0, i], tables, spans, a[act, i], length[pose, i], 2e-7)
+    force[pose, act, i] = tendon_force(m[0, i], tables, a[act, i], length[pose, i], 2e-7)
 
 
 @wp.kernel
 def static_64(
     m: wp.array2d[Hill64],
-    tables: wp.array2d[wp.vec2d],
-    spans: wp.array[wp.vec2d],
+    tables: CurveTables64,
     a: wp.array2d[wp.float64],
     length: wp.array2d[wp.float64],
     force: wp.array3d[wp.float64],
 ):
     pose, act, i = wp.tid()
-    force[pose, act, i] = tendon_force(m[0, i], tables, spans, a[act, i], length[pose, i], wp.float64(1e-14))
+    force[pose, act, i] = tendon_force(m[0, i], tables, a[act, i], length[pose, i], wp.float64(1e-14))
 
 
 @wp.kernel
 def pull_64(
     m: wp.array2d[Hill64],
-    tables: wp.array2d[wp.vec2d],
-    spans: wp.array[wp.vec2d],
+    tables: CurveTables64,
     a: wp.array[wp.float64],
     z: wp.array[wp.float64],
     before: wp.array[wp.float64],
@@ -112,29 +108,26 @@ def pull_64(
 ):
     i = wp.tid()
     pull = hill_law.fiber_pull(
-        m[0, 0], tables, spans, a[i], wp.float64(1.0), z[i], wp.float64(0.0), before[i], per_step
+        m[0, 0], tables, a[i], wp.float64(1.0), z[i], wp.float64(0.0), before[i], per_step
     )
     force[i] = pull[0]
 
 
 REALS = {
-    "float32": (wp.float32, wp.vec2, hill_law.HillMuscle, static_32),
-    "float64": (wp.float64, wp.vec2d, Hill64, static_64),
+    "float32": (wp.float32, CurveTables, hill_law.HillMuscle, static_32),
+    "float64": (wp.float64, CurveTables64, Hill64, static_64),
 }
 
 
 def on_device(muscles, real):
-    """Return parameters, tables and spans of OpenSim's muscles of one class on the CPU."""
+    """Return parameters and curves of OpenSim's muscles of one class on the CPU."""
     known = MUSCLES[of_law(muscles[0])].PARAMETERS
     names = {name for muscle in muscles for name in muscle.values if name in known}
     values = {name: np.array([[m.values.get(name, np.nan) for m in muscles]]) for name in names}
     rows, tables, spans = hill.hill_parameters(LAWS[muscles[0].kind], values, real=REALS[real][0])
-    vector, struct = REALS[real][1:3]
-    return (
-        wp.array(rows, dtype=struct, device="cpu"),
-        wp.array(tables, dtype=vector, device="cpu"),
-        wp.array(spans, dtype=vector, device="cpu"),
-    )
+    curves, struct = REALS[real][1:3]
+    with wp.ScopedDevice("cpu"):
+        return wp.array(rows, dtype=struct), struct_of(curves, values=tables, spans=spans)
 
 
 def of_law(muscle):
@@ -203,20 +196,19 @@ def test_a_moving_fiber_pulls_like_opensims():
 
 @wp.kernel
 def look_up(
-    tables: wp.array2d[wp.vec2d],
-    spans: wp.array[wp.vec2d],
+    tables: CurveTables64,
     x: wp.array2d[wp.float64],
     y: wp.array2d[wp.vec2d],
 ):
     curve, i = wp.tid()
-    y[curve, i] = tabulated(tables, spans, curve, x[curve, i])
+    y[curve, i] = tabulated(tables, curve, x[curve, i])
 
 
 @pytest.mark.parametrize("model", ["Tug_of_War_Millard", "gait10dof18musc", "variants"])
 def test_tables_of_millards_curves(model):
     _, muscles = load(model)
     for muscle in [m for m in muscles if LAWS[m.kind] == MILLARD][::5]:
-        _, tables, spans = on_device([muscle], "float64")
+        _, tables = on_device([muscle], "float64")
         curves = millard_curves(muscle.values)
         chains = curves.active, curves.passive, curves.tendon, curves.velocity
         x = np.array([np.linspace(c.knots[0][0] - 0.1, c.knots[-1][0] + 0.1, 7919) for c in chains])
@@ -225,7 +217,7 @@ def test_tables_of_millards_curves(model):
         wp.launch(
             look_up,
             x.shape,
-            [tables, spans, wp.array(x - shift, dtype=wp.float64, device="cpu"), found],
+            [tables, wp.array(x - shift, dtype=wp.float64, device="cpu"), found],
             device="cpu",
         )
         for curve, at, y in zip(chains, x, found.numpy(), strict=True):

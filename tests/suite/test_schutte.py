@@ -10,11 +10,12 @@ from hill_64 import Hill64, velocity_64
 from opensim_muscles import read_muscles, write_muscles
 
 import myowarp
+from myowarp.kernels.structs import struct_of
+from myowarp.laws.curves import CurveTables64
 from myowarp.laws.muscles.hill_law import SCHUTTE
 from myowarp.laws.muscles.hill_parameters import hill_parameters
-from myowarp.osim.body.hill_curves import SplineCurves
+from myowarp.osim.body.hill_curves import SPLINES, SplineCurves
 from myowarp.osim.body.hill_muscle import HillMuscle
-from myowarp.osim.body.spline_tables import SPLINES
 from myowarp.osim.document.read.muscle_defaults import DEFAULTS
 from myowarp.sim.build import compile_scene
 
@@ -64,7 +65,8 @@ def test_fibers_move_as_in_opensim(states_passive):
     found = wp.zeros(500, dtype=wp.float64, device="cpu")
     given = (wp.array(x, dtype=wp.float64, device="cpu") for x in (a, length, pull))
     device = (wp.array(rows, dtype=Hill64, device="cpu"),)
-    device += tuple(wp.array(x, dtype=wp.vec2d, device="cpu") for x in (tables, spans))
+    with wp.ScopedDevice("cpu"):
+        device += (struct_of(CurveTables64, values=tables, spans=spans),)
     wp.launch(velocity_64, 500, [*device, *given, found], device="cpu")
     expected = opensims_velocity(a, active, pull - passive)
     assert np.ptp(expected) > 1.0
@@ -84,7 +86,7 @@ def test_activation_is_that_of_opensim(tmp_path, u):
     write_muscles(path.parent / "muscles.csv", own)
     muscles = compile_scene(myowarp.from_mjcf(path), 1, device="cpu", physics="parity").muscles
     assert (muscles.parameters.numpy()["law"] == SCHUTTE).all()
-    assert muscles.tables.shape[0] == 3
+    assert muscles.tables.values.shape[0] == 3
     dt, start = 0.002, np.linspace(0.0, 1.0, 6)
     muscles.activation.assign(start[None].astype(np.float32))
     length = np.array(

@@ -16,7 +16,7 @@ from mujoco_warp._src.types import vec10
 from myowarp.engine.stage import Stage
 from myowarp.engine.stages.arrays import any_of, filled
 from myowarp.engine.stepped import Stepped
-from myowarp.kernels.lanes import at_namespace_level, block_scratch
+from myowarp.kernels.lanes import at_namespace_level, block_scratch, native_kernel
 from myowarp.kernels.launch import launch
 
 FILE = Path(__file__).with_suffix(".cpp")
@@ -46,31 +46,15 @@ class ActuatorMoments:
     actuator_moment: wp.array2d[float]
 
 
-@wp.func_native(at_namespace_level(FILE))
-def declare_actuate_block(thread: int):
-    """Declare the template of `affine_actuators.cpp`."""
-    ...
-
-
-@wp.func_native("""
-    lanes::for_blocks(ctrl.shape[0], nullptr, scratch.data, [&](auto& block) {
-        lanes::actuate_block(block, actuators, clamp_controls, moments, ctrl, actuator_force, qfrc_actuator);
+@native_kernel(
+    at_namespace_level(FILE),
+    does="""
+    lanes::for_blocks(ctrl_in.shape[0], nullptr, scratch.data, [&](auto& block) {
+        lanes::actuate_block(block, actuators, clamp_controls, moments, ctrl_in, actuator_force_out,
+                             qfrc_actuator_out);
     });
-""")
-def actuate_worlds(
-    scratch: wp.array[float],
-    actuators: Actuators,
-    ctrl: wp.array2d[float],
-    clamp_controls: bool,
-    moments: ActuatorMoments,
-    actuator_force: wp.array2d[float],
-    qfrc_actuator: wp.array2d[float],
-):
-    """Set the actuator forces of all worlds, a block after the other."""
-    ...
-
-
-@wp.kernel(enable_backward=False)
+    """,
+)
 def actuate(
     # Model:
     actuators: Actuators,
@@ -85,11 +69,6 @@ def actuate(
     qfrc_actuator_out: wp.array2d[float],
 ):
     """force = g ctrl + b0 + b1 length + b2 velocity, within its range; qfrc = moment' force."""
-    thread = wp.tid()
-    declare_actuate_block(thread)
-    actuate_worlds(
-        scratch, actuators, ctrl_in, clamp_controls, moments, actuator_force_out, qfrc_actuator_out
-    )
 
 
 def _drives_scalars(model: mjw.Model) -> bool:

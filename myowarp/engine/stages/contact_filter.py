@@ -16,29 +16,20 @@ import warp as wp
 from myowarp.engine.stages.arrays import filled
 from myowarp.engine.stages.contact_search_kernel import NearPairs, Shapes
 from myowarp.engine.stepped import Stepped
-from myowarp.kernels.lanes import WIDEST, at_namespace_level, block_scratch
+from myowarp.kernels.lanes import WIDEST, at_namespace_level, block_scratch, native_kernel
 from myowarp.kernels.launch import launch
 
 SOLID = 26
 """Numbers of a `Solid` of contact_filter.cpp."""
 
 
-@wp.func_native(at_namespace_level(Path(__file__).with_suffix(".cpp")))
-def declare_filter(thread: int):
-    """Declare the templates of `contact_filter.cpp`."""
-    ...
-
-
-@wp.func_native("""
+@native_kernel(
+    at_namespace_level(Path(__file__).with_suffix(".cpp")),
+    does="""
     lanes::for_blocks(near.num.shape[0], nullptr, scratch.data,
                       [&](auto& block) { lanes::filter_block(block, shapes, near); });
-""")
-def filter_worlds(scratch: wp.array[float], shapes: Shapes, near: NearPairs):
-    """List the pairs that may touch in each world, a block after the other."""
-    ...
-
-
-@wp.kernel(enable_backward=False)
+    """,
+)
 def filter_pairs(
     # Model:
     shapes: Shapes,
@@ -48,9 +39,6 @@ def filter_pairs(
     near: NearPairs,
 ):
     """f(n) <= margin + gap for every n that is tried."""
-    thread = wp.tid()
-    declare_filter(thread)
-    filter_worlds(scratch, shapes, near)
 
 
 class ContactFilter:

@@ -28,7 +28,7 @@ from myowarp.engine.stages.arrays import ConstraintRows, ContactPool, InertiaRow
 from myowarp.engine.stages.constraint_rows import frames_in_solver
 from myowarp.engine.stages.contact_rows import FRAME, KinematicTree
 from myowarp.engine.stepped import Stepped
-from myowarp.kernels.lanes import at_namespace_level, block_scratch
+from myowarp.kernels.lanes import at_namespace_level, block_scratch, native_kernel
 from myowarp.kernels.launch import launch
 
 VECTOR = 8  # floats that one instruction adds
@@ -99,12 +99,6 @@ class InLanes:
     solved: wp.array[bool]
 
 
-@wp.func_native(at_namespace_level(*FILES, **FLAGS))
-def declare_solve_limits(thread: int):
-    """Declare the templates of `limit_solve.cpp`."""
-    ...
-
-
 LIMITS_ALONE = """{
     const int n = qacc_out.shape[1];
     auto* of_worlds = (lanes::Limit*)memory.limits.data;
@@ -120,44 +114,22 @@ LIMITS_ALONE = """{
 
 
 @cache
-def native_solve(width: int) -> Any:
-    """Return the native function for at most `width` degrees of freedom, a multiple of VECTOR.
+def solver_kernel(width: int) -> Any:
+    """Return the kernel `solve_constraints` for at most `width` degrees of freedom, a multiple of VECTOR.
 
     It walks through the worlds by itself: a call for each would copy its arguments, which takes long.
     """
     constants = {"WIDTH": width, **FLAGS}
 
-    @wp.func_native(
-        "".join(f"constexpr int {name} = {value};\n" for name, value in constants.items())
+    @native_kernel(
+        at_namespace_level(*FILES, **FLAGS),
+        does="".join(f"constexpr int {name} = {value};\n" for name, value in constants.items())
         + LIMITS_ALONE
         + "auto &tree = moving.tree; auto &contacts = moving.contacts;\n"
         + "auto &subtree_com = moving.subtree_com; auto &cdof = moving.cdof;\n"
-        + f"{FRAME}for (int world = 0; world < memory.solved.shape[0]; ++world) {{\n{SOURCE}}}\n"
+        + f"{FRAME}for (int world = 0; world < memory.solved.shape[0]; ++world) {{\n{SOURCE}}}\n",
+        module=f"{__name__}.of_{width}_dofs",
     )
-    def solve_worlds(
-        inertia: InertiaRows,
-        options: SolverOptions,
-        M_in: wp.array2d[float],
-        qfrc_smooth_in: wp.array2d[float],
-        qacc_warmstart_in: wp.array2d[float],
-        memory: InLanes,
-        counts: RowCounts,
-        rows: ConstraintRows,
-        moving: MovingContacts,
-        qacc_out: wp.array2d[float],
-        qfrc_constraint_out: wp.array2d[float],
-        result: SolverResult,
-    ): ...
-
-    return solve_worlds
-
-
-@cache
-def solver_kernel(width: int) -> Any:
-    """Return the kernel `solve_constraints` for at most `width` degrees of freedom, a multiple of VECTOR."""
-    solve_worlds = native_solve(width)
-
-    @wp.kernel(module="unique", enable_backward=False)
     def solve_constraints(
         # Params:
         inertia: InertiaRows,
@@ -178,22 +150,6 @@ def solver_kernel(width: int) -> Any:
         result: SolverResult,
     ):
         """M qacc = qfrc_smooth + J' force, force = -s'(J qacc - aref)."""
-        thread = wp.tid()
-        declare_solve_limits(thread)
-        solve_worlds(
-            inertia,
-            options,
-            M_in,
-            qfrc_smooth_in,
-            qacc_warmstart_in,
-            memory,
-            counts,
-            rows,
-            moving,
-            qacc_out,
-            qfrc_constraint_out,
-            result,
-        )
 
     return solve_constraints
 

@@ -21,6 +21,7 @@ from myowarp.engine.stages.prism import Prism, Solid, extent, prism_touch
 from myowarp.engine.stages.separation import ellipsoid_matrix
 from myowarp.kernels.batching import batched, num_threads
 from myowarp.kernels.launch import launch
+from myowarp.kernels.structs import struct_of
 
 
 @wp.struct
@@ -172,10 +173,8 @@ class HeightField:
         values = host.hfield_data[first : first + shape[0] * shape[1]].reshape(1, *shape)
         self.pairs = frozenset((min(pair), max(pair)) for pair in pairs.tolist())
         self.heights = wp.array(z * values, dtype=float)
-        self._field = Field()
-        self._field.pairs = wp.array(pairs, dtype=wp.vec2i)
-        self._field.pairids = wp.array(pairids, dtype=wp.vec2i)
-        self._field.half, self._field.bottom, self._field.ceiling = wp.vec2(x, y), -base, z
+        half = wp.vec2(x, y)
+        self._field = struct_of(Field, pairs=pairs, pairids=pairids, half=half, bottom=-base, ceiling=z)
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Append contacts with the field to those that were found."""

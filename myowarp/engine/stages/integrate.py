@@ -21,7 +21,7 @@ from mujoco_warp._src.types import vec10
 from myowarp.engine.stage import Stage
 from myowarp.engine.stages.arrays import JOINTS, InertiaRows, any_of, filled
 from myowarp.engine.stepped import Stepped
-from myowarp.kernels.lanes import at_namespace_level, block_scratch
+from myowarp.kernels.lanes import at_namespace_level, block_scratch, native_kernel
 from myowarp.kernels.launch import launch
 
 FILES = tuple(map(Path(__file__).with_name, ("factor.cpp", "integrate.cpp")))
@@ -102,35 +102,15 @@ class StepState:
     overflow: wp.array[int]
 
 
-@wp.func_native(at_namespace_level(*FILES, **CONSTANTS))
-def declare_end_block(thread: int):
-    """Declare the templates of `integrate.cpp`."""
-    ...
-
-
-@wp.func_native("""
-    lanes::for_blocks(qacc.shape[0], nullptr, scratch.data, [&](auto& block) {
-        lanes::end_block(block, parts, inertia, joints, M, Ma, qacc, forces, usage, acceleration, state);
+@native_kernel(
+    at_namespace_level(*FILES, **CONSTANTS),
+    does="""
+    lanes::for_blocks(qacc_in.shape[0], nullptr, scratch.data, [&](auto& block) {
+        lanes::end_block(block, parts, inertia, joints, M_in, Ma_in, qacc_in, forces, usage, acceleration,
+                         state);
     });
-""")
-def end_worlds(
-    scratch: wp.array[float],
-    inertia: InertiaRows,
-    joints: JointAddresses,
-    parts: Parts,
-    M: wp.array2d[float],
-    Ma: wp.array2d[float],
-    qacc: wp.array2d[float],
-    forces: VelocityForces,
-    usage: Usage,
-    acceleration: wp.array2d[float],
-    state: StepState,
-):
-    """End the step of all worlds, a block after the other."""
-    ...
-
-
-@wp.kernel(enable_backward=False)
+    """,
+)
 def integrate(
     # Model:
     inertia: InertiaRows,
@@ -150,9 +130,6 @@ def integrate(
     state: StepState,
 ):
     """acceleration = (M - h dF/dv)^-1 Ma; qvel += h acceleration; qpos += h qvel; time += h."""
-    thread = wp.tid()
-    declare_end_block(thread)
-    end_worlds(scratch, inertia, joints, parts, M_in, Ma_in, qacc_in, forces, usage, acceleration, state)
 
 
 def _is_implicit(stepped: Stepped) -> bool:

@@ -19,9 +19,10 @@ from mujoco_warp._src.types import vec10
 from myowarp.engine.stage import Launches, Stage
 from myowarp.engine.stages.arrays import JOINTS, any_of, filled
 from myowarp.engine.stages.muscle_path import MusclePath, MusclePaths
-from myowarp.engine.stages.muscle_path_kernel import PathProgram, Transmission, declare_follow_block
+from myowarp.engine.stages.muscle_path_kernel import FILE as PATH_FILE
+from myowarp.engine.stages.muscle_path_kernel import PathProgram, Transmission
 from myowarp.engine.stepped import Stepped
-from myowarp.kernels.lanes import at_namespace_level, block_scratch
+from myowarp.kernels.lanes import at_namespace_level, block_scratch, native_kernel
 from myowarp.kernels.launch import launch
 
 FILE = Path(__file__).with_suffix(".cpp")
@@ -129,37 +130,17 @@ class BodyMotion:
     qfrc_passive: wp.array2d[float]
 
 
-@wp.func_native(at_namespace_level(FILE, **JOINTS))
-def declare_move_block(thread: int):
-    """Declare the templates of `rigid_body.cpp`."""
-    ...
-
-
-@wp.func_native("""
-    lanes::for_blocks(qpos.shape[0], mask.data, scratch.data, [&](auto& block) {
-        lanes::move_block(block, bodies, switches, sites, qpos, qvel, pose, motion);
+@native_kernel(
+    at_namespace_level(FILE, **JOINTS),
+    at_namespace_level(PATH_FILE),
+    does="""
+    lanes::for_blocks(qpos_in.shape[0], mask.data, scratch.data, [&](auto& block) {
+        lanes::move_block(block, bodies, switches, sites, qpos_in, qvel_in, pose_out, motion_out);
         if (program.paths.shape[0] > 0)
-            lanes::follow_block(block, 0, 1, program, qpos, qvel, pose, motion, transmission);
+            lanes::follow_block(block, 0, 1, program, qpos_in, qvel_in, pose_out, motion_out, transmission);
     });
-""")
-def move_worlds(
-    scratch: wp.array[float],
-    bodies: RigidBodies,
-    switches: Switches,
-    sites: wp.array[int],
-    mask: wp.array[bool],
-    qpos: wp.array2d[float],
-    qvel: wp.array2d[float],
-    program: PathProgram,
-    pose: Pose,
-    motion: BodyMotion,
-    transmission: Transmission,
-):
-    """Set pose and motion of the worlds in the mask, a block after the other, and follow paths."""
-    ...
-
-
-@wp.kernel(enable_backward=False)
+    """,
+)
 def move_bodies(
     # Model:
     bodies: RigidBodies,
@@ -180,22 +161,6 @@ def move_bodies(
     transmission: Transmission,
 ):
     """x = x(qpos), M = sum_b J_b' I_b J_b, c = sum_b J_b' (I_b a_b + v_b x I_b v_b) with qacc = 0."""
-    thread = wp.tid()
-    declare_move_block(thread)
-    declare_follow_block(thread)
-    move_worlds(
-        scratch,
-        bodies,
-        switches,
-        sites,
-        mask,
-        qpos_in,
-        qvel_in,
-        program,
-        pose_out,
-        motion_out,
-        transmission,
-    )
 
 
 def _springy_quaternions(stepped: Stepped) -> bool:

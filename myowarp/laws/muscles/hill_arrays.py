@@ -9,6 +9,7 @@ from typing import Any
 
 import warp as wp
 
+from myowarp.laws.curves import CurveTables64
 from myowarp.laws.muscles.hill_law import (
     DEGROOTE,
     HillMuscle64,
@@ -58,8 +59,7 @@ class Parameters:
     velocity_shape: wp.array[wp.float64]
     eccentric_multiplier: wp.array[wp.float64]
     extrapolation_threshold: wp.array[wp.float64]
-    tables: wp.array2d[wp.vec2d]
-    spans: wp.array[wp.vec2d]
+    tables: CurveTables64
 
 
 @wp.func
@@ -109,13 +109,13 @@ def evaluate_curve(
     k = wp.tid()
     m = muscle_of(p, k % p.kind.shape[0])
     if which == ACTIVE:
-        multiplier[k] = active_force_length_curve(m, p.tables, p.spans, x[k])[0]
+        multiplier[k] = active_force_length_curve(m, p.tables, x[k])[0]
     elif which == PASSIVE:
-        multiplier[k] = passive_force_curve(m, p.tables, p.spans, x[k])[0]
+        multiplier[k] = passive_force_curve(m, p.tables, x[k])[0]
     elif which == TENDON:
-        multiplier[k] = wp.max(tendon_force_curve(m, p.tables, p.spans, x[k])[0], wp.float64(0.0))
+        multiplier[k] = wp.max(tendon_force_curve(m, p.tables, x[k])[0], wp.float64(0.0))
     else:
-        multiplier[k] = force_velocity_curve(m, p.tables, p.spans, x[k], activation[k])[0]
+        multiplier[k] = force_velocity_curve(m, p.tables, x[k], activation[k])[0]
     multiplier[k] += unknown(x[k]) + unknown(activation[k])
 
 
@@ -138,7 +138,7 @@ def find_equilibrium(
     root[k] = wp.vec2d(wp.max(slack, m.shortest_fiber), zero)
     if m.rigid == 0:
         a = wp.max(activation[k], m.minimum_activation)
-        found = steady_equilibrium(m, p.tables, p.spans, a, one, length[k], velocity[k], zero, TOLERANCE)
+        found = steady_equilibrium(m, p.tables, a, one, length[k], velocity[k], zero, TOLERANCE)
         slope = found[2] + found[3]
         inside = found[0] > m.shortest_fiber and found[0] < slack
         root[k] = wp.vec2d(found[0], wp.where(inside and slope > zero, one / slope, zero))
@@ -166,21 +166,21 @@ def hold_muscles(
     force = zero
     missing = unknown(activation[k]) + unknown(length[k]) + unknown(velocity[k])
     if m.rigid == 0:
-        pull = fiber_pull(m, p.tables, p.spans, a, one, z, velocity[k], zero, zero)[0]
+        pull = fiber_pull(m, p.tables, a, one, z, velocity[k], zero, zero)[0]
         strain = (length[k] - z - m.tendon_slack_length) / m.tendon_slack_length
-        residual = pull - tendon_force_curve(m, p.tables, p.spans, strain)[0]
+        residual = pull - tendon_force_curve(m, p.tables, strain)[0]
         settled = z - residual * root[k][1]
         strain = (length[k] - settled - m.tendon_slack_length) / m.tendon_slack_length
         if root[k][1] == zero and z > m.shortest_fiber:
             settled = length[k] - m.tendon_slack_length
             strain = zero
         fiber_length[k] = fiber_of(m, settled)
-        force = tendon_force_curve(m, p.tables, p.spans, strain)[0]
+        force = tendon_force_curve(m, p.tables, strain)[0]
     else:
         settled = length[k] - m.tendon_slack_length
         if settled > m.shortest_fiber:
             fiber_length[k] = fiber_of(m, settled)
-            force = fiber_pull(m, p.tables, p.spans, a, one, settled, velocity[k], zero, zero)[0]
+            force = fiber_pull(m, p.tables, a, one, settled, velocity[k], zero, zero)[0]
         else:
             fiber_length[k] = fiber_of(m, m.shortest_fiber)
     fiber_length[k] += missing
@@ -192,7 +192,7 @@ def along_fiber(p: Parameters, m: Any, length: wp.float64, fiber: wp.float64):
     """(z, pull along the fiber that holds the tendon in balance [F_max], f_T)."""
     z = wp.sqrt(wp.max(fiber * fiber - m.fiber_width * m.fiber_width, wp.float64(1e-30)))
     strain = (length - z - m.tendon_slack_length) / m.tendon_slack_length
-    force = wp.max(tendon_force_curve(m, p.tables, p.spans, strain)[0], wp.float64(0.0))
+    force = wp.max(tendon_force_curve(m, p.tables, strain)[0], wp.float64(0.0))
     return wp.vec3d(z, force * fiber / z, force)
 
 
@@ -216,15 +216,15 @@ def find_velocity(
         a = wp.max(activation[k], m.minimum_activation)
         pull = along_fiber(p, m, length[k], fiber_length[k])[1]
         n = fiber_length[k] / m.optimal_fiber_length
-        v = fiber_velocity(m, p.tables, p.spans, a, one, n, pull, TOLERANCE)[0]
+        v = fiber_velocity(m, p.tables, a, one, n, pull, TOLERANCE)[0]
         shortest = fiber_of(m, m.shortest_fiber) * (one + wp.float64(1e-9))
         if v < zero and fiber_length[k] <= shortest:
             return  # as short as it can be
-        active = a * active_force_length_curve(m, p.tables, p.spans, n)[0]
-        factor = force_velocity_curve(m, p.tables, p.spans, v, a)
+        active = a * active_force_length_curve(m, p.tables, n)[0]
+        factor = force_velocity_curve(m, p.tables, v, a)
         slope = active * factor[1] + m.fiber_damping
         residual = active * factor[0] + m.fiber_damping * v - pull
-        residual += passive_force_curve(m, p.tables, p.spans, n)[0]
+        residual += passive_force_curve(m, p.tables, n)[0]
         solved = slope > zero and wp.abs(residual) < wp.float64(1e-9)
         root[k] = wp.vec2d(v, wp.where(solved, one / slope, zero))
 
@@ -255,9 +255,9 @@ def contract_muscles(
         n = fiber_length[k] / m.optimal_fiber_length
         held = along_fiber(p, m, length[k], fiber_length[k])
         v = root[k][0]
-        residual = a * active_force_length_curve(m, p.tables, p.spans, n)[0]
-        residual *= force_velocity_curve(m, p.tables, p.spans, v, a)[0]
-        residual += passive_force_curve(m, p.tables, p.spans, n)[0] + m.fiber_damping * v - held[1]
+        residual = a * active_force_length_curve(m, p.tables, n)[0]
+        residual *= force_velocity_curve(m, p.tables, v, a)[0]
+        residual += passive_force_curve(m, p.tables, n)[0] + m.fiber_damping * v - held[1]
         fiber_speed = (v - residual * root[k][1]) * scale
         speed[k] = fiber_speed
         tendon_force[k] = m.max_isometric_force * held[2]
@@ -268,7 +268,7 @@ def contract_muscles(
     else:
         z = length[k] - m.tendon_slack_length
         if z > m.shortest_fiber:
-            pull = fiber_pull(m, p.tables, p.spans, a, one, z, velocity[k], zero, zero)[0]
+            pull = fiber_pull(m, p.tables, a, one, z, velocity[k], zero, zero)[0]
             force = m.max_isometric_force * wp.max(pull, zero)
             speed[k] = velocity[k] * z / fiber_of(m, z)
             tendon_force[k] = force

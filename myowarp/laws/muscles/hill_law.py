@@ -110,48 +110,46 @@ else:
 
 
 @wp.func
-def active_force_length_curve(m: Any, tables: wp.array2d[Any], spans: wp.array[Any], length: Any):
+def active_force_length_curve(m: Any, tables: Any, length: Any):
     """f_L and its slope."""
     if m.law == MILLARD:
-        return millard_active_force_length(m, tables, spans, length)
+        return millard_active_force_length(m, tables, length)
     if m.law == THELEN:
         return thelen_active_force_length(m, length)
     if m.law == SCHUTTE:
-        return schutte_fiber_force(tables, spans, m.curves, length)
+        return schutte_fiber_force(tables, m.curves, length)
     return degroote_active_force_length(m, length)
 
 
 @wp.func
-def passive_force_curve(m: Any, tables: wp.array2d[Any], spans: wp.array[Any], length: Any):
+def passive_force_curve(m: Any, tables: Any, length: Any):
     """f_P and its slope."""
     if m.law == MILLARD:
-        return millard_passive_force(m, tables, spans, length)
+        return millard_passive_force(m, tables, length)
     if m.law == THELEN:
         return thelen_passive_force(m, length)
     if m.law == SCHUTTE:
-        return schutte_fiber_force(tables, spans, m.curves + 1, length)
+        return schutte_fiber_force(tables, m.curves + 1, length)
     return degroote_passive_force(m, length)
 
 
 @wp.func
-def tendon_force_curve(m: Any, tables: wp.array2d[Any], spans: wp.array[Any], strain: Any):
+def tendon_force_curve(m: Any, tables: Any, strain: Any):
     """f_T and its slope, over strain."""
     if m.law == MILLARD:
-        return millard_tendon_force(m, tables, spans, strain)
+        return millard_tendon_force(m, tables, strain)
     if m.law == THELEN:
         return thelen_tendon_force(m, strain)
     if m.law == SCHUTTE:
-        return schutte_tendon_force(m, tables, spans, strain)
+        return schutte_tendon_force(m, tables, strain)
     return degroote_tendon_force(m, strain)
 
 
 @wp.func
-def force_velocity_curve(
-    m: Any, tables: wp.array2d[Any], spans: wp.array[Any], velocity: Any, activation: Any
-):
+def force_velocity_curve(m: Any, tables: Any, velocity: Any, activation: Any):
     """f_V and its slope; only Thelen's depends on the activation."""
     if m.law == MILLARD:
-        return millard_force_velocity(m, tables, spans, velocity)
+        return millard_force_velocity(m, tables, velocity)
     if m.law == THELEN:
         return thelen_force_velocity(m, velocity, activation)
     if m.law == SCHUTTE:
@@ -161,15 +159,7 @@ def force_velocity_curve(
 
 @wp.func
 def fiber_pull(
-    m: Any,
-    tables: wp.array2d[Any],
-    spans: wp.array[Any],
-    activation: Any,
-    strength: Any,
-    z: Any,
-    velocity: Any,
-    before: Any,
-    per_step: Any,
+    m: Any, tables: Any, activation: Any, strength: Any, z: Any, velocity: Any, before: Any, per_step: Any
 ):
     """((a s f_L f_V + f_P + beta v) cos(phi), its slope by z [1/m], its slope by velocity [s/m]).
 
@@ -183,9 +173,9 @@ def fiber_pull(
     speed = ((length - before) * per_step + velocity * cosine) / scale
     speed_slope = (cosine * per_step + velocity * turn) / scale
     norm_length = length / m.optimal_fiber_length
-    active = active_force_length_curve(m, tables, spans, norm_length)
-    passive = passive_force_curve(m, tables, spans, norm_length)
-    factor = force_velocity_curve(m, tables, spans, speed, activation)
+    active = active_force_length_curve(m, tables, norm_length)
+    passive = passive_force_curve(m, tables, norm_length)
+    factor = force_velocity_curve(m, tables, speed, activation)
     drive = activation * strength
     force = drive * active[0] * factor[0] + passive[0] + m.fiber_damping * speed
     by_speed = drive * active[0] * factor[1] + m.fiber_damping
@@ -197,8 +187,7 @@ def fiber_pull(
 @wp.func
 def equilibrium(
     m: Any,
-    tables: wp.array2d[Any],
-    spans: wp.array[Any],
+    tables: Any,
     activation: Any,
     strength: Any,
     length: Any,
@@ -228,10 +217,8 @@ def equilibrium(
     last = type(start)(1.0e30)
     tension, stiffness, slope = type(start)(0.0), type(start)(0.0), type(start)(0.0)
     for _ in range(80):
-        pull = fiber_pull(m, tables, spans, activation, strength, z, velocity, before, per_step)
-        tendon = tendon_force_curve(
-            m, tables, spans, (length - z - m.tendon_slack_length) / m.tendon_slack_length
-        )
+        pull = fiber_pull(m, tables, activation, strength, z, velocity, before, per_step)
+        tendon = tendon_force_curve(m, tables, (length - z - m.tendon_slack_length) / m.tendon_slack_length)
         tension, stiffness, slope = tendon[0], tendon[1] / m.tendon_slack_length, pull[1]
         residual = pull[0] - tension
         if residual < type(start)(0.0):
@@ -255,22 +242,14 @@ def equilibrium(
 
 @wp.func
 def steady_equilibrium(
-    m: Any,
-    tables: wp.array2d[Any],
-    spans: wp.array[Any],
-    activation: Any,
-    strength: Any,
-    length: Any,
-    velocity: Any,
-    near: Any,
-    tolerance: Any,
+    m: Any, tables: Any, activation: Any, strength: Any, length: Any, velocity: Any, near: Any, tolerance: Any
 ):
     """`equilibrium` while the tendon keeps its length; from a z near it, or, at 0, a tendon 2 % too long."""
     zero = type(near)(0.0)
     start = near
     if near <= zero:
         start = length - m.tendon_slack_length - type(near)(0.02) * m.tendon_slack_length
-    return equilibrium(m, tables, spans, activation, strength, length, velocity, zero, zero, start, tolerance)
+    return equilibrium(m, tables, activation, strength, length, velocity, zero, zero, start, tolerance)
 
 
 NEWTON = wp.constant(50.0)
@@ -282,14 +261,7 @@ NEWTON_SPEED = wp.constant(1e-3)
 
 @wp.func
 def fiber_velocity(
-    m: Any,
-    tables: wp.array2d[Any],
-    spans: wp.array[Any],
-    activation: Any,
-    strength: Any,
-    norm_length: Any,
-    pull: Any,
-    tolerance: Any,
+    m: Any, tables: Any, activation: Any, strength: Any, norm_length: Any, pull: Any, tolerance: Any
 ):
     """v [l_0 v_max] where a s f_L f_V(v) + f_P + beta v is the pull along the fiber.
 
@@ -302,12 +274,12 @@ def fiber_velocity(
     half, one = type(pull)(0.5), type(pull)(1.0)
     high = wp.where(m.law == MILLARD and m.fiber_damping == type(pull)(0.0), one, type(pull)(10.0))
     low = -high
-    active = activation * strength * active_force_length_curve(m, tables, spans, norm_length)[0]
-    wanted = pull - passive_force_curve(m, tables, spans, norm_length)[0]
+    active = activation * strength * active_force_length_curve(m, tables, norm_length)[0]
+    wanted = pull - passive_force_curve(m, tables, norm_length)[0]
     v, last = type(pull)(0.0), type(pull)(1.0e30)
-    factor = force_velocity_curve(m, tables, spans, v, activation)
+    factor = force_velocity_curve(m, tables, v, activation)
     for _ in range(80):
-        factor = force_velocity_curve(m, tables, spans, v, activation)
+        factor = force_velocity_curve(m, tables, v, activation)
         residual = active * factor[0] + m.fiber_damping * v - wanted
         slope = active * factor[1] + m.fiber_damping
         if residual < type(pull)(0.0):

@@ -29,7 +29,7 @@ COMMON: Mapping[str, tuple[float, float]] = {
 """Least and greatest value of what every law has, under OpenSim's names."""
 
 
-MAX_PENNATION = math.acos(0.1)
+MAX_PENNATION = math.acos(0.1)  # rad
 
 
 LAWS: Mapping[int, Mapping[str, tuple[str | None, float, float, float]]] = {
@@ -54,6 +54,11 @@ DEFAULTS: Mapping[int, Mapping[str, float]] = {
     for law, (damping, floor) in enumerate(((0.0, 0.01), (0.1, 0.01), (0.0, 0.0), (0.1, 0.0)))
 }
 """OpenSim's, of what is not a curve; De Groote's and Schutte's muscles have no floor of the activation."""
+
+
+def defaults_of(law: int) -> dict[str, float]:
+    """Return OpenSim's defaults of all that a law has; NaN: OpenSim computes it."""
+    return {**DEFAULTS[law], **{name: default for name, (_, default, _, _) in LAWS[law].items()}}
 
 
 FIELDS = (
@@ -102,11 +107,7 @@ def hill_parameters(
         ValueError: Too many curves differ.
     """
     own = LAWS[law]
-    given: dict[str, Any] = {
-        **DEFAULTS[law],
-        **{name: default for name, (_, default, _, _) in own.items()},
-        **values,
-    }
+    given: dict[str, Any] = {**defaults_of(law), **values}
     each = [np.atleast_2d(np.asarray(value, float)) for value in given.values()]
     arrays = dict(zip(given, np.broadcast_arrays(*each), strict=True))
     shape = arrays["optimal_fiber_length"].shape

@@ -17,27 +17,27 @@ from myowarp.laws.millard_curves import BezierChain, millard_curves
 
 
 @wp.func
-def millard_active_force_length(m: Any, tables: wp.array2d[Any], spans: wp.array[Any], length: Any):
+def millard_active_force_length(m: Any, tables: Any, length: Any):
     """f_L, 0 (or 0.1 where neither fiber nor tendon damps) outside of the range in which the fiber acts."""
-    return tabulated(tables, spans, m.curves, length)
+    return tabulated(tables, m.curves, length)
 
 
 @wp.func
-def millard_passive_force(m: Any, tables: wp.array2d[Any], spans: wp.array[Any], length: Any):
+def millard_passive_force(m: Any, tables: Any, length: Any):
     """f_P, 1 at `strain_at_one_norm_force`, a line beyond."""
-    return tabulated(tables, spans, m.curves + 1, length)
+    return tabulated(tables, m.curves + 1, length)
 
 
 @wp.func
-def millard_tendon_force(m: Any, tables: wp.array2d[Any], spans: wp.array[Any], strain: Any):
+def millard_tendon_force(m: Any, tables: Any, strain: Any):
     """f_T, a toe up to 2/3, then a line through 1 at `strain_at_one_norm_force`."""
-    return tabulated(tables, spans, m.curves + 2, strain)
+    return tabulated(tables, m.curves + 2, strain)
 
 
 @wp.func
-def millard_force_velocity(m: Any, tables: wp.array2d[Any], spans: wp.array[Any], velocity: Any):
+def millard_force_velocity(m: Any, tables: Any, velocity: Any):
     """f_V, from 0 at -1 through 1 at rest to the largest lengthening."""
-    return tabulated(tables, spans, m.curves + 3, velocity)
+    return tabulated(tables, m.curves + 3, velocity)
 
 
 ACTIVE, VELOCITY = "ActiveForceLengthCurve.", "ForceVelocityCurve."

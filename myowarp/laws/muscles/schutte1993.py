@@ -20,20 +20,20 @@ SHORTENING, STEEPER, MOST = wp.constant(0.15), wp.constant(0.13), wp.constant(1.
 
 
 @wp.func
-def schutte_fiber_force(tables: wp.array2d[Any], spans: wp.array[Any], curve: int, length: Any):
+def schutte_fiber_force(tables: Any, curve: int, length: Any):
     """f_L or f_P, at least 0."""
-    found = tabulated(tables, spans, curve, length)
+    found = tabulated(tables, curve, length)
     if found[0] <= type(length)(0.0):
         return wp.vector(type(length)(0.0), type(length)(0.0))
     return found
 
 
 @wp.func
-def schutte_tendon_force(m: Any, tables: wp.array2d[Any], spans: wp.array[Any], strain: Any):
+def schutte_tendon_force(m: Any, tables: Any, strain: Any):
     """f_T, 0 when slack."""
     if strain <= type(strain)(0.0):
         return wp.vector(type(strain)(0.0), type(strain)(0.0))
-    return tabulated(tables, spans, m.curves + 2, strain)
+    return tabulated(tables, m.curves + 2, strain)
 
 
 @wp.func

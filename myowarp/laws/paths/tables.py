@@ -10,7 +10,7 @@ import warp as wp
 
 from myowarp.kernels.lanes import WIDEST
 from myowarp.kernels.launch import launch
-from myowarp.kernels.structs import struct_array
+from myowarp.kernels.structs import struct_of, zeros_of
 from myowarp.laws.paths.ellipsoid import AXIAL, HYBRID, MIDPOINT, SAMPLED
 from myowarp.laws.paths.path import (
     CYLINDER,
@@ -20,13 +20,8 @@ from myowarp.laws.paths.path import (
     TORUS,
     Followed,
     Frames,
-    MovingPoint,
-    MusclePath,
     PathTables,
-    PathWrap,
-    Point,
     Pulls,
-    Surface,
     follow_paths,
 )
 from myowarp.laws.paths.polynomials import follow_polynomials
@@ -263,17 +258,19 @@ class PathMemory:
             place += len(path.points) + 2 * len(path.wraps)
             self.handles.append(self.handles[-1] + len(own))
         self.moving = [tuple(values) for values, _, _ in moving]
-        self.tables = PathTables()
-        self.tables.paths = struct_array(MusclePath, paths)
-        self.tables.points = struct_array(Point, points)
-        self.tables.moving = struct_array(MovingPoint, moving)
-        self.tables.wraps = struct_array(PathWrap, wraps)
-        self.tables.surfaces = struct_array(Surface, surfaces)
         powers, ends, coefficients = _packed(groups)
-        self.tables.variable = wp.array(np.array(variables or [0], np.int32), dtype=int)
-        self.tables.power = wp.array(powers, dtype=int)
-        self.tables.first_coefficient = wp.array(ends, dtype=int)
-        self.tables.coefficient = wp.array(coefficients, dtype=wp.float64)
+        self.tables = struct_of(
+            PathTables,
+            paths=paths,
+            points=points,
+            moving=moving,
+            wraps=wraps,
+            surfaces=surfaces,
+            variable=variables or [0],
+            power=powers,
+            first_coefficient=ends,
+            coefficient=coefficients,
+        )
         self.worlds, self.number = worlds, len(paths)
         functions = [path.polynomial is not None for path in described.paths.values()]
         in_lanes = np.array(functions, bool) & wp.get_device().is_cpu
@@ -286,27 +283,22 @@ class PathMemory:
         self, bodies: int, values: int, places: int, wraps: int, moving: int, variables: int
     ) -> None:
         """Allocate what is read, worked in and written, as many of each in every world."""
-        self.frames, self.memory, self.pulls = Frames(), Followed(), Pulls()
-        real, vec, mat = wp.float64, wp.vec3d, wp.mat33d
-        for owner, name, columns, kind in (
-            (self.frames, "origin", bodies, vec),
-            (self.frames, "rotation", bodies, mat),
-            (self.frames, "value", values, real),
-            (self.memory, "order", places, int),
-            (self.memory, "location", places, vec),
-            (self.memory, "cached", places, vec),
-            (self.memory, "arc", wraps, real),
-            (self.pulls, "length", self.number, real),
-            (self.pulls, "size", self.number, int),
-            (self.pulls, "force", self.handles[-1], vec),
-            (self.pulls, "torque", self.handles[-1], vec),
-            (self.pulls, "twist", self.handles[-1], vec),
-            (self.pulls, "along", moving, vec),
-            (self.pulls, "within", moving, vec),
-            (self.pulls, "by_variable", variables, real),
-            (self.pulls, "jumps", self.number, int),
-        ):
-            setattr(owner, name, wp.zeros((self.worlds, max(columns, 1)), dtype=kind))
+
+        def each(*columns: int) -> list[tuple[int, int]]:
+            return [(self.worlds, max(count, 1)) for count in columns]
+
+        of_bodies, of_values, of_places, of_wraps = each(bodies, values, places, wraps)
+        of_paths, of_handles, of_moving = each(self.number, self.handles[-1], moving)
+        (of_variables,) = each(variables)
+        self.frames = zeros_of(Frames, origin=of_bodies, rotation=of_bodies, value=of_values)
+        self.memory = zeros_of(Followed, order=of_places, location=of_places, cached=of_places, arc=of_wraps)
+        self.pulls = zeros_of(
+            Pulls,
+            **dict.fromkeys(("length", "size", "jumps"), of_paths),
+            **dict.fromkeys(("force", "torque", "twist"), of_handles),
+            **dict.fromkeys(("along", "within"), of_moving),
+            by_variable=of_variables,
+        )
 
     def points(self, world: int) -> list[np.ndarray]:
         """Return the points of every path as last followed in a world, wrap points too [m], (n, 3) each."""

@@ -11,9 +11,10 @@ import warp as wp
 from myowarp.definitions.muscle import MUSCLES, FiberStates, MuscleGeometry, MuscleModel
 from myowarp.kernels.lanes import block_scratch
 from myowarp.kernels.launch import launch
-from myowarp.laws.curves import KNOTS
+from myowarp.kernels.structs import struct_of
+from myowarp.laws.curves import KNOTS, CurveTables
 from myowarp.laws.muscles.hill_law import DEGROOTE, MILLARD, SCHUTTE, THELEN, HillMuscle
-from myowarp.laws.muscles.hill_parameters import COMMON, DEFAULTS, LAWS, hill_parameters
+from myowarp.laws.muscles.hill_parameters import COMMON, LAWS, defaults_of, hill_parameters
 from myowarp.models.muscles.hill_kernels import (
     Fibers,
     HillParams,
@@ -89,8 +90,7 @@ class Hill(MuscleModel):
                 own = getattr(self, name).numpy()
                 setattr(self, name, wp.array(np.where(off, 1e-6, own), dtype=float))
         rows, tables, spans = self._collect(model)
-        self.tables = wp.array(tables, dtype=wp.vec2)
-        self.spans = wp.array(spans, dtype=wp.vec2)
+        self.tables = struct_of(CurveTables, values=tables, spans=spans)
         self.parameters = wp.array(rows, dtype=HillMuscle)
         if ids.size and np.isnan(rows["tendon_slack_length"]).any():
             self._derive_slack(model, rows)
@@ -140,8 +140,7 @@ class Hill(MuscleModel):
             "pennation_angle_at_optimal": 0.0,
             "max_contraction_velocity": 10.0,
         }
-        defaults = {name: default for name, (_, default, _, _) in LAWS[law].items()}
-        own = {**own, **DEFAULTS[law], **defaults}
+        own |= defaults_of(law)
         return {name: self._value(name, default)[:, chosen] for name, default in own.items()}
 
     def _check_length(self, name: str, lengths: np.ndarray, most: float) -> None:
@@ -239,7 +238,7 @@ class Hill(MuscleModel):
         """All parameters, for a kernel."""
         params = HillParams()
         params.actuator_id, params.muscles = self._actuators, self.parameters
-        for name in ("excitation_range", *TIME_CONSTANTS, "tables", "spans"):
+        for name in ("excitation_range", *TIME_CONSTANTS, "tables"):
             setattr(params, name, getattr(self, name))
         return params
 

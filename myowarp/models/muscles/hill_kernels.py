@@ -13,6 +13,7 @@ from myowarp.definitions.muscle import (
     affine_bias,
 )
 from myowarp.kernels.batching import batched, of_world
+from myowarp.laws.curves import CurveTables
 from myowarp.laws.muscles.hill_law import (
     TOLERANCE,
     HillMuscle,
@@ -40,8 +41,7 @@ class HillParams:
         activation_time_constant: Time constant at full rise [s].
         deactivation_time_constant: Time constant of decay [s].
         muscles: What the law needs, each row on its own.
-        tables: Millard's and Schutte's curves, for `tabulated`.
-        spans: Where they begin, and how dense they are.
+        tables: Millard's and Schutte's curves.
     """
 
     actuator_id: wp.array[int]
@@ -49,8 +49,7 @@ class HillParams:
     activation_time_constant: wp.array2d[float]
     deactivation_time_constant: wp.array2d[float]
     muscles: wp.array2d[HillMuscle]
-    tables: wp.array2d[wp.vec2]
-    spans: wp.array[wp.vec2]
+    tables: CurveTables
 
 
 @wp.struct
@@ -79,19 +78,13 @@ def along_present_tendon(m: HillMuscle, fibers: Fibers, worldid: int, muscleid: 
 
 @wp.func
 def pull_rigid(
-    m: HillMuscle,
-    tables: wp.array2d[wp.vec2],
-    spans: wp.array[wp.vec2],
-    activation: float,
-    strength: float,
-    length: float,
-    velocity: float,
+    m: HillMuscle, tables: CurveTables, activation: float, strength: float, length: float, velocity: float
 ) -> wp.vec3:
     """(z, f, df/dvelocity) of a fiber on a tendon that keeps its slack length; f >= 0."""
     free = length - m.tendon_slack_length
     z = wp.max(free, m.shortest_fiber)
     if free > m.shortest_fiber:
-        pull = fiber_pull(m, tables, spans, activation, strength, z, velocity, 0.0, 0.0)
+        pull = fiber_pull(m, tables, activation, strength, z, velocity, 0.0, 0.0)
         if pull[0] > 0.0:
             return wp.vec3(z, pull[0], pull[2])
     return wp.vec3(z, 0.0, 0.0)
@@ -100,8 +93,7 @@ def pull_rigid(
 @wp.func
 def step_elastic(
     m: HillMuscle,
-    tables: wp.array2d[wp.vec2],
-    spans: wp.array[wp.vec2],
+    tables: CurveTables,
     activation: float,
     strength: float,
     dt: float,
@@ -115,13 +107,12 @@ def step_elastic(
     rule, does not hold bodies that are light beside the muscle.
     """
     strain = (length - now - m.tendon_slack_length) / m.tendon_slack_length
-    force = wp.max(tendon_force_curve(m, tables, spans, strain)[0], 0.0)
+    force = wp.max(tendon_force_curve(m, tables, strain)[0], 0.0)
     z, share, by_velocity = float(now), float(0.0), float(0.0)
     if dt > 0.0:
         found = equilibrium(
             m,
             tables,
-            spans,
             activation,
             strength,
             length + dt * velocity,
@@ -187,14 +178,12 @@ def contract_hill(
         z, norm_force, by_velocity = float(0.0), float(0.0), float(0.0)
         expected, share = float(length), float(0.0)
         if m.rigid == 1:
-            held = pull_rigid(m, params.tables, params.spans, steps[0], strength, length, velocity)
+            held = pull_rigid(m, params.tables, steps[0], strength, length, velocity)
             z, norm_force, by_velocity = held[0], held[1], held[2]
         else:
             now = along_present_tendon(m, fibers, worldid, i, length)
             before = wp.where(before >= 0.0, fiber_of(m, now), float(before))
-            moved = step_elastic(
-                m, params.tables, params.spans, steps[0], strength, dt, length, velocity, now
-            )
+            moved = step_elastic(m, params.tables, steps[0], strength, dt, length, velocity, now)
             z, norm_force, by_velocity, share = moved[0], moved[1], moved[2], moved[3]
             expected = wp.where(dt > 0.0, length + dt * velocity, length)
         after = fiber_of(m, z)
@@ -212,10 +201,8 @@ def contract_hill(
             if m.rigid == 0 and dt > 0.0:
                 speed = (after - before) / dt
             norm_speed = speed / (m.optimal_fiber_length * m.max_contraction_velocity)
-            active = active_force_length_curve(
-                m, params.tables, params.spans, after / m.optimal_fiber_length
-            )[0]
-            factor = force_velocity_curve(m, params.tables, params.spans, norm_speed, steps[0])[0]
+            active = active_force_length_curve(m, params.tables, after / m.optimal_fiber_length)[0]
+            factor = force_velocity_curve(m, params.tables, norm_speed, steps[0])[0]
             results.workload[worldid, i] += dt * wp.max(steps[0] * active * factor, 0.0)
         if fibers.fiber_length.shape[0] > 0:
             fibers.fiber_length[worldid, i] = after
@@ -253,17 +240,17 @@ def read_hill_fibers(
     norm_length = fiber / m.optimal_fiber_length
     fastest = m.optimal_fiber_length * m.max_contraction_velocity
     v = wp.where(free > m.shortest_fiber, velocity[worldid, i] * z / fiber / fastest, 0.0)
-    factor = force_velocity_curve(m, params.tables, params.spans, v, a)[0]
+    factor = force_velocity_curve(m, params.tables, v, a)[0]
     if m.rigid == 0:
         strain = (free - z) / m.tendon_slack_length
-        pull = wp.max(tendon_force_curve(m, params.tables, params.spans, strain)[0], 0.0) * fiber / z
-        found = fiber_velocity(m, params.tables, params.spans, a, strength, norm_length, pull, TOLERANCE)
+        pull = wp.max(tendon_force_curve(m, params.tables, strain)[0], 0.0) * fiber / z
+        found = fiber_velocity(m, params.tables, a, strength, norm_length, pull, TOLERANCE)
         v, factor = found[0], found[1]
         if v < 0.0 and z <= m.shortest_fiber:
             v = float(0.0)
-            factor = force_velocity_curve(m, params.tables, params.spans, v, a)[0]
-    active = active_force_length_curve(m, params.tables, params.spans, norm_length)[0]
-    passive = passive_force_curve(m, params.tables, params.spans, norm_length)[0] + m.fiber_damping * v
+            factor = force_velocity_curve(m, params.tables, v, a)[0]
+    active = active_force_length_curve(m, params.tables, norm_length)[0]
+    passive = passive_force_curve(m, params.tables, norm_length)[0] + m.fiber_damping * v
     force = of_world(anatomy.transmission, worldid, i) * m.max_isometric_force
     states.norm_length[worldid, i] = norm_length
     states.velocity[worldid, i] = v * fastest
@@ -295,7 +282,6 @@ def settle_hill(
             found = steady_equilibrium(
                 m,
                 params.tables,
-                params.spans,
                 wp.max(fibers.activation[worldid, i], m.minimum_activation),
                 of_world(anatomy.strength, worldid, i),
                 length[worldid, i],
@@ -322,9 +308,9 @@ def sample_curves(
     """(f_L + f_P at rest, f_T) of each muscle of the first world."""
     i, point = wp.tid()
     m = params.muscles[0, i]
-    active = active_force_length_curve(m, params.tables, params.spans, norm_length[point])[0]
-    forces[i, point, 0] = active + passive_force_curve(m, params.tables, params.spans, norm_length[point])[0]
-    forces[i, point, 1] = tendon_force_curve(m, params.tables, params.spans, strain[point])[0]
+    active = active_force_length_curve(m, params.tables, norm_length[point])[0]
+    forces[i, point, 0] = active + passive_force_curve(m, params.tables, norm_length[point])[0]
+    forces[i, point, 1] = tendon_force_curve(m, params.tables, strain[point])[0]
 
 
 @wp.kernel(enable_backward=False)

@@ -42,17 +42,17 @@ template <class V> struct Table {
     const float* values;
     int knots;
 
-    template <class Tables, class Spans> Table(Tables& tables, Spans& spans, V curves, int which) {
-        values = (const float*)tables.data;
-        knots = tables.shape[1];
+    template <class Tables> Table(Tables& tables, V curves, int which) {
+        values = (const float*)tables.values.data;
+        knots = tables.values.shape[1];
         const auto curve = bits(curves) + which;
         begin = 2 * knots * curve;
         const int* each = (const int*)&curve;
-        const float* span = (const float*)spans.data + 2 * each[0];
+        const float* span = (const float*)tables.spans.data + 2 * each[0];
         first = splat<V>(span[0]), density = splat<V>(span[1]);
         const bool differ = any(curve != each[0]);
         for (int lane = 1; differ && lane < (int)(sizeof(V) / sizeof(float)); ++lane) {
-            span = (const float*)spans.data + 2 * each[lane];
+            span = (const float*)tables.spans.data + 2 * each[lane];
             ((float*)&first)[lane] = span[0];
             ((float*)&density)[lane] = span[1];
         }
@@ -73,19 +73,19 @@ template <class V> struct Table {
 
 template <class V> struct Millard {
     const Table<V> active_force_length, passive_force, tendon_force, velocity;
-    template <class Tables, class Spans>
-    Millard(const Muscle<V>& m, Tables& tables, Spans& spans)
-        : active_force_length(tables, spans, m[CURVES], 0), passive_force(tables, spans, m[CURVES], 1),
-          tendon_force(tables, spans, m[CURVES], 2), velocity(tables, spans, m[CURVES], 3) {}
+    template <class Tables>
+    Millard(const Muscle<V>& m, Tables& tables)
+        : active_force_length(tables, m[CURVES], 0), passive_force(tables, m[CURVES], 1),
+          tendon_force(tables, m[CURVES], 2), velocity(tables, m[CURVES], 3) {}
     Curve<V> force_velocity(V v, V) const { return velocity(v); }
 };
 
 template <class V> struct Schutte {
     const Table<V> active, passive, tendon;
-    template <class Tables, class Spans>
-    Schutte(const Muscle<V>& m, Tables& tables, Spans& spans)
-        : active(tables, spans, m[CURVES], 0), passive(tables, spans, m[CURVES], 1),
-          tendon(tables, spans, m[CURVES], 2) {}
+    template <class Tables>
+    Schutte(const Muscle<V>& m, Tables& tables)
+        : active(tables, m[CURVES], 0), passive(tables, m[CURVES], 1),
+          tendon(tables, m[CURVES], 2) {}
     template <class Mask> static Curve<V> where(Mask acts, Curve<V> curve) {
         const V zero = splat<V>(0.0f);
         return {select(acts, curve.value, zero), select(acts, curve.slope, zero)};
@@ -115,7 +115,7 @@ template <class V> struct Thelen {
     const V toe_force = splat<V>(0.33f);
     V active_width, passive_rate, passive_scale, toe_strain, toe_rate, toe_scale, stiffness;
     V shape, limit, q, end;
-    template <class Tables, class Spans> Thelen(const Muscle<V>& m, Tables&, Spans&) {
+    template <class Tables> Thelen(const Muscle<V>& m, Tables&) {
         active_width = 1.0f / m[ACTIVE_WIDTH];
         passive_rate = m[PASSIVE_SHAPE] / m[PASSIVE_STRAIN];
         passive_scale = 1.0f / (decay(m[PASSIVE_SHAPE]) - 1.0f);
@@ -159,7 +159,7 @@ template <class V> struct Thelen {
 
 template <class V> struct DeGroote {
     V width, passive_rate, passive_scale, offset, tendon_rate;
-    template <class Tables, class Spans> DeGroote(const Muscle<V>& m, Tables&, Spans&) {
+    template <class Tables> DeGroote(const Muscle<V>& m, Tables&) {
         width = 1.0f / m[ACTIVE_WIDTH];
         passive_rate = 4.0f / m[PASSIVE_STRAIN];
         offset = decay(-0.8f * passive_rate);
@@ -371,13 +371,13 @@ void contract_hill_block(Block<V>& block, Params& params, Anatomy& anatomy, Time
             pulling.publish(i, pull, implicitness > 0.0f ? implicitness * slope : zero);
         };
         if (kind == MILLARD)
-            contract(Millard<V>(m, params.tables, params.spans));
+            contract(Millard<V>(m, params.tables));
         else if (kind == THELEN)
-            contract(Thelen<V>(m, params.tables, params.spans));
+            contract(Thelen<V>(m, params.tables));
         else if (kind == SCHUTTE)
-            contract(Schutte<V>(m, params.tables, params.spans));
+            contract(Schutte<V>(m, params.tables));
         else
-            contract(DeGroote<V>(m, params.tables, params.spans));
+            contract(DeGroote<V>(m, params.tables));
     }
     block.store(fibers.activation, activation_to, 0, num_muscles);
     if (remembers) {

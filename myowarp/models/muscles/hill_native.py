@@ -10,7 +10,7 @@ import warp as wp
 
 from myowarp.definitions.muscle import Anatomy, BiasParams, MuscleResults
 from myowarp.kernels.decay import DECAY
-from myowarp.kernels.lanes import at_namespace_level
+from myowarp.kernels.lanes import at_namespace_level, native_kernel
 from myowarp.laws.muscles import hill_law
 from myowarp.laws.muscles.thelen2003 import TOE_GROWTH, TOE_SHARE
 from myowarp.models.muscles.hill_kernels import (
@@ -34,37 +34,16 @@ CONSTANTS: dict[str, float] = {name.upper(): place for place, name in enumerate(
 }
 
 
-@wp.func_native(at_namespace_level(DECAY, MUSCLE_BLOCK, Path(__file__).with_suffix(".cpp"), **CONSTANTS))
-def declare_contract_hill_block(thread: int):
-    """Declare the templates of `hill_native.cpp`."""
-    ...
-
-
-@wp.func_native("""
+@native_kernel(
+    at_namespace_level(DECAY, MUSCLE_BLOCK, Path(__file__).with_suffix(".cpp"), **CONSTANTS),
+    does="""
     lanes::for_blocks(fibers.activation.shape[0], nullptr, scratch.data, [&](auto& block) {
-        lanes::contract_hill_block(block, params, anatomy, timestep, midstep, implicitness, ctrl,
-                                   actuator_length, actuator_velocity, fibers, results, actuator_biasprm);
+        lanes::contract_hill_block(block, params, anatomy, opt_timestep, midstep, implicitness, ctrl_in,
+                                   actuator_length_in, actuator_velocity_in, fibers, results,
+                                   actuator_biasprm);
     });
-""")
-def contract(
-    scratch: wp.array[float],
-    params: HillParams,
-    anatomy: Anatomy,
-    timestep: wp.array[float],
-    midstep: bool,
-    implicitness: float,
-    ctrl: wp.array2d[float],
-    actuator_length: wp.array2d[float],
-    actuator_velocity: wp.array2d[float],
-    fibers: Fibers,
-    results: MuscleResults,
-    actuator_biasprm: wp.array2d[BiasParams],
-):
-    """Let the muscles of all worlds act; see `contract_hill`."""
-    ...
-
-
-@wp.kernel(enable_backward=False)
+    """,
+)
 def native_contract_hill(
     # Model:
     opt_timestep: wp.array[float],
@@ -85,19 +64,3 @@ def native_contract_hill(
     actuator_biasprm: wp.array2d[BiasParams],
 ):
     """`contract_hill`, to float32 rounding."""
-    thread = wp.tid()
-    declare_contract_hill_block(thread)
-    contract(
-        scratch,
-        params,
-        anatomy,
-        opt_timestep,
-        midstep,
-        implicitness,
-        ctrl_in,
-        actuator_length_in,
-        actuator_velocity_in,
-        fibers,
-        results,
-        actuator_biasprm,
-    )

@@ -14,7 +14,7 @@ import warp as wp
 
 from myowarp.definitions.muscle import MUSCLES, Anatomy, BiasParams, MuscleResults
 from myowarp.kernels.decay import DECAY
-from myowarp.kernels.lanes import at_namespace_level, block_scratch
+from myowarp.kernels.lanes import at_namespace_level, block_scratch, native_kernel
 from myowarp.kernels.launch import launch
 from myowarp.models.muscles.mujoco import MujocoMuscle, MujocoMuscleParams
 
@@ -22,37 +22,16 @@ MUSCLE_BLOCK = Path(__file__).with_name("muscle_block.cpp")
 FILES = (DECAY, MUSCLE_BLOCK, Path(__file__).with_suffix(".cpp"))
 
 
-@wp.func_native(at_namespace_level(*FILES))
-def declare_contract_block(thread: int):
-    """Declare the templates of `mujoco_native.cpp`."""
-    ...
-
-
-@wp.func_native("""
+@native_kernel(
+    at_namespace_level(*FILES),
+    does="""
     lanes::for_blocks(activation.shape[0], nullptr, scratch.data, [&](auto& block) {
-        lanes::contract_block(block, params, anatomy, timestep, midstep, implicitness, ctrl, actuator_length,
-                              actuator_velocity, activation, results, actuator_biasprm);
+        lanes::contract_block(block, params, anatomy, opt_timestep, midstep, implicitness, ctrl_in,
+                              actuator_length_in, actuator_velocity_in, activation, results,
+                              actuator_biasprm);
     });
-""")
-def contract(
-    scratch: wp.array[float],
-    params: MujocoMuscleParams,
-    anatomy: Anatomy,
-    timestep: wp.array[float],
-    midstep: bool,
-    implicitness: float,
-    ctrl: wp.array2d[float],
-    actuator_length: wp.array2d[float],
-    actuator_velocity: wp.array2d[float],
-    activation: wp.array2d[float],
-    results: MuscleResults,
-    actuator_biasprm: wp.array2d[BiasParams],
-):
-    """Let the muscles of all worlds act; see `mujoco_muscle`."""
-    ...
-
-
-@wp.kernel(enable_backward=False)
+    """,
+)
 def native_mujoco_muscle(
     # Model:
     opt_timestep: wp.array[float],
@@ -73,22 +52,6 @@ def native_mujoco_muscle(
     actuator_biasprm: wp.array2d[BiasParams],
 ):
     """`mujoco_muscle`, to float32 rounding."""
-    thread = wp.tid()
-    declare_contract_block(thread)
-    contract(
-        scratch,
-        params,
-        anatomy,
-        opt_timestep,
-        midstep,
-        implicitness,
-        ctrl_in,
-        actuator_length_in,
-        actuator_velocity_in,
-        activation,
-        results,
-        actuator_biasprm,
-    )
 
 
 class NativeMujocoMuscle(MujocoMuscle):
@@ -101,22 +64,14 @@ class NativeMujocoMuscle(MujocoMuscle):
         super().__init__(model, num_worlds, parameters)
         of_muscles, of_actuators = 7 * self.activation.shape[1], 3 * model.nu
         device = self.activation.device
-        self._scratch = block_scratch(device, self.params, self.anatomy, of_muscles, of_actuators)
+        self.scratch = block_scratch(device, self.params, self.anatomy, of_muscles, of_actuators)
 
     def launch(self, model: mjw.Model, data: mjw.Data) -> None:
         """Engine callback; see `MuscleModel.launch`."""
         if not self.activation.device.is_cpu:
             super().launch(model, data)
             return
-        launch(
-            native_mujoco_muscle,
-            1,
-            self,
-            data,
-            model,
-            opt_timestep=model.opt.timestep,
-            scratch=self._scratch,
-        )
+        launch(native_mujoco_muscle, 1, self, data, model, opt_timestep=model.opt.timestep)
 
 
 MUSCLES.add("mujoco", NativeMujocoMuscle)

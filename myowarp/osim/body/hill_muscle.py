@@ -23,11 +23,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from myowarp.laws.millard_curves import MIN_DAMPING, millard_curves
-from myowarp.osim.body.hill_curves import DeGrooteCurves, MuscleCurves, SplineCurves, ThelenCurves
-from myowarp.osim.body.spline_tables import SPLINES
+from myowarp.laws.muscles import degroote_fregly2016, thelen2003
+from myowarp.laws.muscles.hill_parameters import MAX_PENNATION
+from myowarp.osim.body.hill_curves import SPLINES, DeGrooteCurves, MuscleCurves, SplineCurves, ThelenCurves
 from myowarp.osim.document.functions import Function
 from myowarp.osim.document.model import Muscle, Note
-from myowarp.osim.document.read.muscle_defaults import DEFAULTS, MAX_PENNATION
+from myowarp.osim.document.read.muscle_defaults import DEFAULTS
 
 Array = np.ndarray
 
@@ -92,11 +93,11 @@ class HillMuscle:
         v = self.values
         match self.kind:
             case "Thelen2003Muscle":
-                return ThelenCurves(*(v[name] for name in THELEN))
+                return ThelenCurves(*(v[name] for name in thelen2003.PARAMETERS))
             case "Millard2012EquilibriumMuscle" | "Millard2012AccelerationMuscle":
                 return millard_curves(v)
             case "DeGrooteFregly2016Muscle":
-                active, passive, tendon = (v[name] for name in DE_GROOTE)
+                active, passive, tendon = (v[name] for name in degroote_fregly2016.PARAMETERS)
                 return DeGrooteCurves(active, passive, tendon, not v["ignore_passive_fiber_force"])
         if self.kind in CLASSES:
             f = self.functions
@@ -261,24 +262,6 @@ COMMON = (
     "ignore_activation_dynamics",
 )
 """Numbers that every class has."""
-
-THELEN = (
-    "KshapeActive",
-    "KshapePassive",
-    "FmaxMuscleStrain",
-    "FmaxTendonStrain",
-    "Af",
-    "Flen",
-    "fv_linear_extrap_threshold",
-)
-"""Parameters of Thelen's curves, in the order of ThelenCurves."""
-
-DE_GROOTE = (
-    "active_force_width_scale",
-    "passive_fiber_strain_at_one_norm_force",
-    "tendon_strain_at_one_norm_force",
-)
-"""Parameters of De Groote's curves, in the order of DeGrooteCurves."""
 
 TINY = 1e-15
 """[m]; keeps a fiber of no length from dividing by 0."""

@@ -17,14 +17,16 @@ import warp as wp
 
 from myowarp.kernels.launch import launch
 from myowarp.kernels.structs import struct_array
-from myowarp.laws.expressions import Programs, Variables, added, programs, run
+from myowarp.laws.expressions import Programs, Variables, programs, run
 from myowarp.laws.forces.bushing import BodyMotion, Bushing, Wrench
 from myowarp.laws.forces.coordinate_limit import CoordinateLimit, limit_damping, limit_spring
 from myowarp.laws.forces.ligament import Ligament, ligament_tension
 from myowarp.laws.pieces import evaluated
+from myowarp.osim.body.described import bushing_of
 from myowarp.osim.body.moment_arm import coordinates_between, leading
 from myowarp.osim.body.muscle_paths import muscle_paths
 from myowarp.osim.body.skeleton import Bones, Placement, Skeleton
+from myowarp.osim.bundle.forces import bushing_table, ligament_table
 from myowarp.osim.document.elements import LEAST_TRANSITION
 from myowarp.osim.document.functions import IDENTITY, Function
 from myowarp.osim.document.model import GROUND, Loss, Model, Note
@@ -293,28 +295,6 @@ def acting_in(bones: Bones) -> Acting:
         for number, item in enumerate(model.coordinate_springs)
     ]
     ligaments = tuple(model.ligaments.values())
-    bushings = [
-        (
-            *(bones.number(body) for body in item.bodies),
-            *(part for frame in item.frames for part in (frame.rotation, frame.position)),
-            item.rotational_stiffness,
-            item.translational_stiffness,
-            item.rotational_damping,
-            item.translational_damping,
-            added(formulas, item.formulas),
-        )
-        for item in model.bushings
-    ]
-    rows_of = [
-        (
-            number,
-            item.resting_length,
-            item.dissipation,
-            item.damping,
-            added(formulas, () if item.formula is None else (item.formula,)),
-        )
-        for number, item in enumerate(ligaments)
-    ]
     tables = ModelForces()
     with wp.ScopedDevice(bones.device):
         tables.coordinates = bones.values_of([(IDENTITY, name) for name in on])
@@ -322,12 +302,12 @@ def acting_in(bones: Bones) -> Acting:
             struct_array(CoordinateLimit, limits),
             struct_array(CoordinateSpring, springs),
         )
-        tables.bushings = struct_array(Bushing, bushings)
+        tables.bushings = bushing_table(map(bushing_of, model.bushings), bones.number, formulas)
+        rows = ligament_table(ligaments, range(len(ligaments)), formulas)
         tables.pushed = wp.array(np.array(pushed, np.int32), dtype=int)
         tables.formulas = programs(formulas)
-        rows = struct_array(Ligament, rows_of)
     curves = tuple(ligament.force for ligament in ligaments)
-    return Acting(tables, bool(on or bushings), tuple(model.ligaments), rows, curves)
+    return Acting(tables, bool(on or model.bushings), tuple(model.ligaments), rows, curves)
 
 
 def ligament_pulls(bones: Bones, values: np.ndarray, speeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

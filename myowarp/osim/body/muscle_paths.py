@@ -28,7 +28,6 @@ from myowarp.osim.body.described import described
 from myowarp.osim.body.parts import in_parts, joined
 from myowarp.osim.body.skeleton import Bones, Placement, Skeleton, place
 from myowarp.osim.body.straight_paths import StraightPaths, acted_on
-from myowarp.osim.document.model import pulling
 
 TOGETHER = 256
 """Frames whose paths are followed at once: working memory is 0.1 MB for each."""
@@ -163,6 +162,11 @@ class PathsOfMuscles:
     Attributes:
         muscles: Their names.
         crossed: For each the numbers of coordinates that it can act on.
+        skeleton: Of the model.
+        needed: What points depend on.
+        body: Numbers of bodies that paths are fixed to; likewise `handle_body`.
+        placement: Where bodies are, in as many frames as are followed at once; `slope`: of what is needed.
+        moment_arm: Of these frames, shape (frames, muscles, coordinates).
     """
 
     def __init__(self, bones: Bones, together: int = TOGETHER, names: Sequence[str] | None = None) -> None:
@@ -177,23 +181,23 @@ class PathsOfMuscles:
             ValueError: The model has no muscle.
             NotImplementedError: A point moves by a function that is no piecewise polynomial.
         """
-        model, self._bones = bones.model, bones
+        model, self._bones, self.skeleton = bones.model, bones, bones.skeleton
         self.muscles = muscles_of(bones) if names is None else tuple(names)
-        every = pulling(model)
+        every = model.pulling
         paths = {name: every[name] for name in self.muscles}
         self.crossed = tuple(acted_on(bones, path) for path in paths.values())
         paths_of, depends = described(model, paths)
         handles = [paths_of.handles(path) for path in paths_of.paths.values()]
         self._handles = [len(own) for own in handles]
         with wp.ScopedDevice(bones.device):
-            self._needed = bones.values_of(depends)
-            self._body = wp.array([bones.number(name) for name in paths_of.bodies], dtype=int)
-            self._handle_body = wp.array([bones.number(name) for own in handles for name in own], dtype=int)
+            self.needed = bones.values_of(depends)
+            self.body = wp.array([bones.number(name) for name in paths_of.bodies], dtype=int)
+            self.handle_body = wp.array([bones.number(name) for own in handles for name in own], dtype=int)
             self._memory = PathMemory(paths_of, together, len(depends), guard=0.0)
-            self._placement = bones.placement(together)
-            self._slope = wp.zeros((together, max(len(depends), 1)), dtype=wp.float64)
+            self.placement = bones.placement(together)
+            self.slope = wp.zeros((together, max(len(depends), 1)), dtype=wp.float64)
             shape = together, len(paths), len(bones.coordinates)
-            self._arm = wp.zeros(shape, dtype=wp.float64)
+            self.moment_arm = wp.zeros(shape, dtype=wp.float64)
 
     def at(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return lengths [m], shape (frames, muscles), and moment arms, (frames, muscles, coordinates).
@@ -203,7 +207,7 @@ class PathsOfMuscles:
         """
         found = []
         for rows in self._followed(values):
-            arrays = self._memory.pulls.length, self._arm
+            arrays = self._memory.pulls.length, self.moment_arm
             count = rows.stop - rows.start
             found.append(tuple(array.numpy()[:count].copy() for array in arrays))
         length, arm = joined(found)
@@ -216,30 +220,10 @@ class PathsOfMuscles:
             rows = values[begin : begin + together]
             whole = np.concatenate((rows, np.repeat(rows[-1:], together - len(rows), axis=0)))
             with wp.ScopedDevice(self._bones.device):
-                launch(
-                    place_path_bodies,
-                    together,
-                    skeleton=self._bones.skeleton,
-                    needed=self._needed,
-                    body=self._body,
-                    values=wp.array(whole, dtype=wp.float64),
-                    placement=self._placement,
-                    frames=memory.frames,
-                    slope=self._slope,
-                )
+                given = wp.array(whole, dtype=wp.float64)
+                launch(place_path_bodies, together, self, memory, values=given)
                 memory.launch()
-                launch(
-                    project_paths,
-                    (together, memory.number),
-                    skeleton=self._bones.skeleton,
-                    needed=self._needed,
-                    handle_body=self._handle_body,
-                    tables=memory.tables,
-                    placement=self._placement,
-                    slope=self._slope,
-                    pulls=memory.pulls,
-                    moment_arm=self._arm,
-                )
+                launch(project_paths, (together, memory.number), self, memory)
             yield slice(begin, begin + len(rows))
 
     def wrenches(self, values: np.ndarray, tension: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -259,7 +243,7 @@ class PathsOfMuscles:
             count = len(of)
             for one, pull in zip(found[:, rows], (pulls.force, pulls.torque), strict=True):
                 drawn = -of * pull.numpy()[:count]
-                for handle, body in enumerate(self._handle_body.numpy()):
+                for handle, body in enumerate(self.handle_body.numpy()):
                     one[:, body] += drawn[:, handle]
         return found[0], found[1]
 
@@ -287,7 +271,7 @@ def muscle_paths(
     """
     values, speeds = (np.ascontiguousarray(array, float) for array in (values, speeds))
     names = muscles_of(bones) if names is None else tuple(names)
-    every = pulling(bones.model)
+    every = bones.model.pulling
     crossed = {name: acted_on(bones, every[name]) for name in names}
     over = [name for name in names if every[name].wraps]
     straight = [name for name in names if name not in over]

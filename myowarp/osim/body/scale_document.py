@@ -13,56 +13,24 @@ Source: OpenSim's classes, `extendScale` and `extendPostScale` of each, and `Bod
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from myowarp.osim.body.moment_arm import own_reference, poses_of
 from myowarp.osim.document.kinematics import complete
-from myowarp.osim.document.model import GROUND, Model, pulling
+from myowarp.osim.document.model import GROUND, Model
 from myowarp.osim.document.read.components import READERS
-from myowarp.osim.document.read.element import Element, parse
-from myowarp.osim.document.read.frames import FRAMES, Frames, euler_xyz, socket
+from myowarp.osim.document.read.element import Element
+from myowarp.osim.document.read.frames import FRAMES, Frames, euler_xyz
 from myowarp.osim.document.read.functions import READERS as FUNCTIONS
 from myowarp.osim.document.read.joints import JOINTS, TRANSLATIONS
-from myowarp.osim.document.read.model import checked, frames_of, model_of, read_model
-from myowarp.osim.document.read.paths import FUNCTIONS as FUNCTION_PATH
+from myowarp.osim.document.read.model import Document, inertia_of
 
 ONE = (1.0, 1.0, 1.0)
 SAME = 1e-12
 """Factors that differ by less are the same."""
-OWN_FRAMES = 40000
-"""First version of a document whose markers are in frames."""
-
-
-class Document:
-    """An .osim file, and what it says.
-
-    Attributes:
-        root: As in the file; what is changed is changed here.
-        pairs: Each element, and the same with the tags of today and the defaults of its class.
-        frames: Of the model.
-        model: What is read from it.
-        version: Of the document.
-    """
-
-    def __init__(self, source: Path, root: Element) -> None:
-        """Read a document.
-
-        Raises:
-            ValueError: It is no model, or says something impossible.
-            NotImplementedError: It needs something that is not supported.
-        """
-        self.root, today = root, copy.deepcopy(root)
-        both = list(zip(root.walk(), today.walk(), strict=True))
-        self.version = checked(today)
-        kept = {id(element) for element in today.walk()}
-        self.pairs = [(own, element) for own, element in both if id(element) in kept]
-        self.frames: Frames = frames_of(today.need("Model"))
-        self.model: Model = model_of(source, self.version, today, [])
 
 
 @dataclass(frozen=True)
@@ -194,15 +162,6 @@ def _body(own: Element, element: Element, scaling: Scaling) -> None:
     put_inertia(own, scaled_inertia(tensor, mass, now, factors))
 
 
-def inertia_of(element: Element) -> np.ndarray:
-    """Return xx yy zz xy xz yz of a body [kg m^2], shape (6,)."""
-    if element.find("inertia") is not None:
-        return element.numbers("inertia", count=6)
-    return np.array(
-        [element.number(f"inertia_{ij}", default=0.0) for ij in ("xx", "yy", "zz", "xy", "xz", "yz")]
-    )
-
-
 def put_inertia(own: Element, tensor: np.ndarray) -> None:
     """Set the inertia of a body, as its document has it."""
     if own.own("inertia") is not None:
@@ -262,12 +221,6 @@ RULES: dict[str, Rule] = {
 }
 """By OpenSim's class."""
 
-PULLING = {tag for tag, (field, _) in READERS.items() if field in ("muscles", "ligaments", "path_actuators")}
-"""Classes with a path."""
-
-PATH_PARTS = ("GeometryPath", FUNCTION_PATH, "PathPointSet", "PathWrapSet", "MusclePointSet", "MuscleWrapSet")
-"""Parts of a path in documents of any version."""
-
 LENGTHS = {"muscles": ("optimal_fiber_length", "tendon_slack_length"), "ligaments": ("resting_length",)}
 """Properties that grow as a path does."""
 
@@ -286,7 +239,7 @@ def scale_document(
     Raises:
         ValueError: The model says something impossible, or has no mass.
     """
-    if named := [name for name, path in pulling(document.model).items() if path.function is not None]:
+    if named := [name for name, path in document.model.pulling.items() if path.function is not None]:
         raise ValueError(
             f"{document.model.source}: {len(named)} paths, such as that of {named[0]!r}, are functions of "
             "coordinates, which no factor scales; scale the model with its points, then fit functions again"
@@ -319,79 +272,3 @@ def path_lengths(model: Model) -> dict[str, np.ndarray]:
     poses = poses_of(model, complete(model, {}, 1), [])
     paths = {name: one.path for group in (model.muscles, model.ligaments) for name, one in group.items()}
     return {name: own_reference(model, path, poses, []).length for name, path in paths.items()}
-
-
-def read_with(path: Path, markers: Path | None = None, function_paths: Path | None = None) -> Model:
-    """Read an .osim file, with parts of other files in place of its own.
-
-    Args:
-        path: The file.
-        markers: An OpenSim `MarkerSet`, in place of the model's markers of the same names.
-        function_paths: A set of `FunctionBasedPath`, in place of the paths of the muscles that it names.
-
-    Raises:
-        ValueError: A file is not what it should be, or names what the model does not have.
-        NotImplementedError: The model needs something that is not supported.
-        OSError: A file cannot be read.
-    """
-    if markers is None and function_paths is None:
-        return read_model(path)
-    document = Document(path, parse(path)[0])
-    for file, put in ((markers, set_markers), (function_paths, set_function_paths)):
-        if file is not None:
-            document = put(document, parse(file)[0])
-    return document.model
-
-
-def set_function_paths(document: Document, paths: Element) -> Document:
-    """Put the lengths of a set of `FunctionBasedPath` in place of the paths of the forces that they name.
-
-    The set is what Moco's `ModOpReplacePathsWithFunctionBasedPaths` reads; return what the model is now.
-
-    Raises:
-        ValueError: The set has none, or one names a force that the model does not have, or that has no path.
-    """
-    owners = {own.name: own for own, element in document.pairs if element.tag in PULLING}
-    found = [element for element in paths.walk() if element.tag == FUNCTION_PATH]
-    if not found:
-        raise paths.error(f"has no <{FUNCTION_PATH}>; give a set of them, such as Moco's")
-    for path in found:
-        name = path.name.rpartition("/")[2]
-        if name not in owners:
-            raise path.error("names a force that the model does not have, or that has no path")
-        owner, held = owners[name], owners[name].own("path")
-        places = [owner] if held is None else [owner, held]
-        for place in places:
-            place.children = [child for child in place.children if child.tag not in PATH_PARTS]
-        inner = Element(path.source, FUNCTION_PATH, {"name": "path"}, path.line, parent=places[-1])
-        inner.children = path.children
-        places[-1].children.insert(0, inner)
-    return Document(document.model.source, document.root)
-
-
-def set_markers(document: Document, markers: Element) -> Document:
-    """Put the markers of a set into a model, in place of those of the same names; return what it is now.
-
-    Raises:
-        ValueError: A marker is on no body.
-    """
-    model = document.root.need("Model")
-    own = model.own("MarkerSet")
-    if own is None:
-        own = Element(model.source, "MarkerSet", {}, model.line, parent=model)
-        model.children.append(own)
-    inner = own.own("objects") or own.put("objects", "")
-    for marker in [element for element in markers.walk() if element.tag == "Marker"]:
-        body = socket(marker, "parent_frame", "body").rsplit("/", 1)[-1]
-        if body not in {*document.model.bodies, GROUND}:
-            raise marker.error(f"is on the body {body!r}, which the model does not have")
-        inner.children = [child for child in inner.children if child.name != marker.name]
-        new = Element(marker.source, "Marker", {"name": marker.name}, marker.line, parent=inner)
-        if document.version < OWN_FRAMES:
-            new.put("body", body)
-        else:
-            new.put("socket_parent_frame", f"/{GROUND}" if body == GROUND else f"/bodyset/{body}")
-        new.put_numbers("location", marker.numbers("location", count=3))
-        new.put("fixed", "true" if marker.flag("fixed", default=False) else "false")
-        inner.children.append(new)
-    return Document(document.model.source, document.root)

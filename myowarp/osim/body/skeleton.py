@@ -24,12 +24,12 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from myowarp.kernels.structs import struct_of, zeros_of
 from myowarp.laws.pieces import Pieces, PieceTables, evaluated, piece_tables
-from myowarp.osim.body.scale_document import read_with
 from myowarp.osim.document.contacts import resting
 from myowarp.osim.document.functions import Function, curves
-from myowarp.osim.document.kinematics import independent
 from myowarp.osim.document.model import GROUND, Model
+from myowarp.osim.document.read.model import read_model
 from myowarp.process import check_on_cpu, start_warp
 
 HINGE, SLIDE = 0, 1
@@ -195,7 +195,7 @@ class Bones:
             ValueError: A file is not what it should be, or a marker is on no body.
             OSError: A file cannot be read.
         """
-        model = read_with(path, markers, function_paths)
+        model = read_model(path, markers, function_paths)
         return cls(model if contact else resting(model), device)
 
     def __init__(self, model: Model, device: Any = "cpu") -> None:
@@ -206,7 +206,7 @@ class Bones:
             NotImplementedError: A function of a joint is no piecewise polynomial.
         """
         check_on_cpu("recorded motions", device)
-        self.model, self.coordinates = model, tuple(independent(model))
+        self.model, self.coordinates = model, tuple(model.independent)
         joints = list(model.joints.values())
         self.bodies = {GROUND: -1} | {joint.child: number for number, joint in enumerate(joints)}
         bodies = [model.bodies[joint.child] for joint in joints]
@@ -240,11 +240,8 @@ class Bones:
             NotImplementedError: A function is no piecewise polynomial.
         """
         chains, frees = zip(*(self._chain(*one) for one in functions), strict=True) if functions else ((), ())
-        s = Skeleton()
         with wp.ScopedDevice(self.device):
-            s.free = put(frees, int)
-            s.functions = piece_tables(chains)
-        return s
+            return struct_of(Skeleton, free=np.array(frees, int), functions=piece_tables(chains))
 
     def _chain(self, function: Function, coordinate: str | None) -> tuple[tuple[Pieces, ...], int]:
         """Return a function as functions of an independent coordinate, and the coordinate's number."""
@@ -275,14 +272,7 @@ class Bones:
 
     def placement(self, num_worlds: int) -> Placement:
         """Allocate where bodies will be."""
-        placement = Placement()
         by_body = (num_worlds, len(self.bodies) - 1)
         by_move = (num_worlds, self.skeleton.kind.shape[0])
         with wp.ScopedDevice(self.device):
-            placement.rotation = wp.zeros(by_body, dtype=wp.mat33d)
-            placement.origin = wp.zeros(by_body, dtype=wp.vec3d)
-            for name in ("point", "direction", "turn", "shift"):
-                setattr(placement, name, wp.zeros(by_move, dtype=wp.vec3d))
-            for name in ("slope", "bend"):
-                setattr(placement, name, wp.zeros(by_move, dtype=wp.float64))
-        return placement
+            return zeros_of(Placement, by_move, rotation=by_body, origin=by_body)

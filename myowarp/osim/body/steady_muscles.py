@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike
 
 from myowarp.kernels.batching import batched
 from myowarp.kernels.launch import launch
+from myowarp.kernels.structs import struct_of
+from myowarp.laws.curves import CurveTables64
 from myowarp.laws.muscles.hill_law import (
     MILLARD,
     OPENSIM_LAWS,
@@ -41,8 +43,7 @@ wp.set_module_options({"enable_backward": False})
 def steady_muscles(
     # Params:
     muscles: wp.array[HillMuscle64],
-    tables: wp.array2d[wp.vec2d],
-    spans: wp.array[wp.vec2d],
+    tables: CurveTables64,
     slack: wp.array2d[wp.float64],
     # In:
     column: wp.array[int],
@@ -74,23 +75,19 @@ def steady_muscles(
     force = zero
     by_velocity = zero
     if m.rigid == 1:
-        fiber_force = fiber_pull(m, tables, spans, a, wp.float64(1.0), z, velocity[worldid, k], zero, zero)
+        fiber_force = fiber_pull(m, tables, a, wp.float64(1.0), z, velocity[worldid, k], zero, zero)
         force = fiber_force[0]
         by_velocity = fiber_force[2]
     elif per_step > zero:
         fiber = before[worldid, k]
         start = along_tendon(m, fiber) + velocity[worldid, k] / per_step
-        found = equilibrium(
-            m, tables, spans, a, wp.float64(1.0), path, zero, fiber, per_step, start, TOLERANCE
-        )
+        found = equilibrium(m, tables, a, wp.float64(1.0), path, zero, fiber, per_step, start, TOLERANCE)
         z, force = found[0], found[1]
         if found[2] > zero and found[3] > zero:
             by_velocity = found[2] * found[3] / (found[2] + found[3]) / per_step
     elif free > m.shortest_fiber:
         near = along[worldid, k]
-        found = steady_equilibrium(
-            m, tables, spans, a, wp.float64(1.0), path, velocity[worldid, k], near, TOLERANCE
-        )
+        found = steady_equilibrium(m, tables, a, wp.float64(1.0), path, velocity[worldid, k], near, TOLERANCE)
         z, force = found[0], found[1]
     along[worldid, k] = z
     pulls = free > m.shortest_fiber or (per_step > zero and m.rigid == 0)
@@ -126,8 +123,7 @@ class SteadyMuscles:
                 tables, spans = curves
         with wp.ScopedDevice(self._device):
             self._muscles = wp.array(rows[self._column], dtype=HillMuscle64)
-            self._tables = wp.array(tables, dtype=wp.vec2d)
-            self._spans = wp.array(spans, dtype=wp.vec2d)
+            self._tables = struct_of(CurveTables64, values=tables, spans=spans)
 
     def at(
         self,
@@ -164,7 +160,6 @@ class SteadyMuscles:
                 (len(length), len(self._column)),
                 muscles=self._muscles,
                 tables=self._tables,
-                spans=self._spans,
                 slack=wp.array(factor, dtype=wp.float64),
                 column=wp.array(self._column, dtype=int),
                 activation=wp.array(active, dtype=wp.float64),

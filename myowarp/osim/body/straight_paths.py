@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
-from myowarp.kernels.lanes import DOUBLES, WIDEST, at_namespace_level
+from myowarp.kernels.lanes import DOUBLES, WIDEST, at_namespace_level, native_kernel
 from myowarp.kernels.launch import launch
+from myowarp.kernels.structs import struct_of
 from myowarp.laws.paths.path import MOST_VARIABLES, PathTables
 from myowarp.laws.paths.polynomials import SOURCE as POLYNOMIALS
 from myowarp.laws.paths.tables import PathMemory
@@ -21,7 +22,6 @@ from myowarp.osim.body.described import described
 from myowarp.osim.body.moment_arm import crossed
 from myowarp.osim.body.skeleton import HINGE, Bones, Skeleton
 from myowarp.osim.document import elements
-from myowarp.osim.document.model import pulling
 
 wp.set_module_options({"enable_backward": False})
 
@@ -48,33 +48,13 @@ class Fixed:
 SOURCE = Path(__file__).with_suffix(".cpp")
 
 
-@wp.func_native(at_namespace_level(DOUBLES, POLYNOMIALS, SOURCE, HINGE=HINGE, MOST_VARIABLES=MOST_VARIABLES))
-def declare_follow_straight(thread: int):
-    """Declare the template of `straight_paths.cpp`."""
-    ...
-
-
-@wp.func_native("""
+@native_kernel(
+    at_namespace_level(DOUBLES, POLYNOMIALS, SOURCE, HINGE=HINGE, MOST_VARIABLES=MOST_VARIABLES),
+    does="""
     lanes::follow_straight(scratch.data, skeleton, needed, tables, fixed, values, speeds, length, velocity,
                            moment_arm);
-""")
-def follow_all_straight(
-    scratch: wp.array[wp.float64],
-    skeleton: Skeleton,
-    needed: Skeleton,
-    tables: PathTables,
-    fixed: Fixed,
-    values: wp.array2d[wp.float64],
-    speeds: wp.array2d[wp.float64],
-    length: wp.array2d[wp.float64],
-    velocity: wp.array2d[wp.float64],
-    moment_arm: wp.array2d[wp.float64],
-):
-    """Follow all paths in all frames, as many at a time as there are lanes."""
-    ...
-
-
-@wp.kernel(enable_backward=False)
+    """,
+)
 def follow_straight_paths(
     # Model:
     skeleton: Skeleton,
@@ -92,11 +72,6 @@ def follow_straight_paths(
     moment_arm: wp.array2d[wp.float64],
 ):
     """Lengths, velocities and moment arms, to rounding those of `follow_paths` and `project_paths`."""
-    thread = wp.tid()
-    declare_follow_straight(thread)
-    follow_all_straight(
-        scratch, skeleton, needed, tables, fixed, values, speeds, length, velocity, moment_arm
-    )
 
 
 def acted_on(bones: Bones, path: elements.Path) -> tuple[int, ...]:
@@ -106,7 +81,12 @@ def acted_on(bones: Bones, path: elements.Path) -> tuple[int, ...]:
 
 
 class StraightPaths:
-    """Muscles of a model whose paths touch no wrap object."""
+    """Muscles of a model whose paths touch no wrap object.
+
+    Attributes:
+        skeleton: Of the model; `needed`: what points depend on.
+        tables: The paths; `fixed`: bodies and points that they are fixed to.
+    """
 
     def __init__(self, bones: Bones, place: Mapping[str, tuple[int, Sequence[int]]]) -> None:
         """Put paths on the bones' device, the CPU.
@@ -118,7 +98,7 @@ class StraightPaths:
         Raises:
             NotImplementedError: A point moves by a function that is no piecewise polynomial.
         """
-        every = pulling(bones.model)
+        every = bones.model.pulling
         paths = {name: every[name] for name in place}
         paths_of, depends = described(bones.model, paths)
         handles = [[bones.number(body) for body in paths_of.handles(one)] for one in paths_of.paths.values()]
@@ -127,18 +107,18 @@ class StraightPaths:
         table = np.full((len(acted), max([1, *map(len, acted)])), -1)
         for row, own in zip(table, acted, strict=True):
             row[: len(own)] = own
-        self._skeleton, self._fixed = bones.skeleton, Fixed()
+        self.skeleton = bones.skeleton
         with wp.ScopedDevice(bones.device):
-            self._needed = bones.values_of(depends)
-            self._tables = PathMemory(paths_of, 1, len(depends), guard=0.0).tables
-            for name, numbers in (
-                ("body", [bones.number(body) for body in paths_of.bodies]),
-                ("handle_body", [body for own in handles for body in own]),
-                ("stop", [_carrier(own, parent) for own in handles]),
-                ("crossed", table),
-                ("column", columns),
-            ):
-                setattr(self._fixed, name, wp.array(np.array(numbers, np.int32), dtype=int))
+            self.needed = bones.values_of(depends)
+            self.tables = PathMemory(paths_of, 1, len(depends), guard=0.0).tables
+            self.fixed = struct_of(
+                Fixed,
+                body=[bones.number(body) for body in paths_of.bodies],
+                handle_body=np.array([body for own in handles for body in own], int),
+                stop=[_carrier(own, parent) for own in handles],
+                crossed=table,
+                column=columns,
+            )
         points = max(1, *(len(path.points) for path in paths.values()))
         self._numbers = 12 * len(parent) + 6 * bones.skeleton.kind.shape[0] + 2 * len(depends)
         self._numbers += 3 * len(bones.coordinates) + 7 * points + 6 * max(1, *map(len, handles))
@@ -166,10 +146,7 @@ class StraightPaths:
             launch(
                 follow_straight_paths,
                 1,
-                skeleton=self._skeleton,
-                needed=self._needed,
-                tables=self._tables,
-                fixed=self._fixed,
+                self,
                 scratch=wp.empty((self._numbers + 1) * WIDEST, dtype=wp.float64),
                 **{name: wp.array(array, dtype=wp.float64, copy=False) for name, array in given.items()},
             )

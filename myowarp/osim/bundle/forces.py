@@ -7,18 +7,23 @@ that stand for them in plain MuJoCo (`coordinates.own_forces`).
 
 import dataclasses
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Self
 
 import mujoco
 import numpy as np
+import warp as wp
 
-from myowarp.laws.expressions import Expression
+from myowarp.kernels.structs import struct_array
+from myowarp.laws.expressions import Expression, added
+from myowarp.laws.forces import bushing as bushing_law
+from myowarp.laws.forces import ligament as ligament_law
 from myowarp.laws.paths.tables import Rows, Vector
 from myowarp.laws.pieces import Pieces
 from myowarp.osim.bundle.couplings import driven
 from myowarp.osim.bundle.paths import frozen
 from myowarp.osim.bundle.text import Sidecar, scalar_joints
+from myowarp.osim.document.elements import Ligament
 
 
 @dataclasses.dataclass(frozen=True)
@@ -206,6 +211,36 @@ class PassiveForces(Sidecar):
         tendons = {*(ligament.tendon for ligament in self.ligaments), *self.springs}
         self.check_named("hinge or slide", joints, scalar_joints(model))
         self.check_named("tendon", tendons, {model.tendon(i).name for i in range(model.ntendon)})
+
+
+def bushing_table(
+    bushings: Iterable[BodyBushing], number: Callable[[str], int], formulas: list[Expression]
+) -> wp.array:
+    """Return bushings on the current device, of the numbers of their bodies; their formulas are appended."""
+    rows = [
+        (
+            *map(number, one.bodies),
+            *(part for pair in zip(one.rotations, one.origins, strict=True) for part in pair),
+            *(one.turn_stiffness, one.shift_stiffness, one.turn_damping, one.shift_damping),
+            added(formulas, one.formulas),
+        )
+        for one in bushings
+    ]
+    return struct_array(bushing_law.Bushing, rows)
+
+
+def ligament_table(
+    ligaments: Iterable[TendonSpring | Ligament], numbers: Iterable[int], formulas: list[Expression]
+) -> wp.array:
+    """Return ligaments on the current device, of the numbers of their paths; their formulas are appended."""
+    rows = [
+        (
+            *(number, one.resting_length, one.dissipation, one.damping),
+            added(formulas, () if one.formula is None else (one.formula,)),
+        )
+        for number, one in zip(numbers, ligaments, strict=True)
+    ]
+    return struct_array(ligament_law.Ligament, rows)
 
 
 def formulas_of(entry: dict[str, Any]) -> dict[str, Any]:

@@ -25,8 +25,7 @@ from myowarp.osim.body.muscle_paths import muscle_paths
 from myowarp.osim.body.skeleton import Bones
 from myowarp.osim.document.elements import LengthFunction
 from myowarp.osim.document.functions import IDENTITY, SimmSpline
-from myowarp.osim.document.kinematics import sampling_range
-from myowarp.osim.document.model import Model, pulling
+from myowarp.osim.document.model import Model
 from myowarp.osim.document.read.element import Element, write
 from myowarp.osim.document.read.functions import exponents
 
@@ -86,11 +85,13 @@ def fit_function_paths(bones: Bones, most_order: int = MOST_ORDER) -> tuple[list
     A path has none that crosses no coordinate, or more than `MOST_VARIABLES`, or is a function already.
     """
     model, random = bones.model, np.random.default_rng(SEED)
-    low, high = np.array([sampling_range(model, name) for name in bones.coordinates]).reshape(-1, 2).T
+    low, high = (
+        np.array([model.coordinates[name].sampling_range for name in bones.coordinates]).reshape(-1, 2).T
+    )
     share = random.uniform(size=(POSES + HELD_OUT, len(low)))
     share[: POSES // 2] = (1 - np.cos(np.pi * share[: POSES // 2])) / 2
     values = low + (high - low) * share
-    names = [name for name, path in pulling(model).items() if path.function is None]
+    names = [name for name, path in model.pulling.items() if path.function is None]
     paths = muscle_paths(bones, values, np.zeros_like(values), names)
     groups: dict[tuple[int, ...], list[int]] = {}
     for number, crossed in enumerate(paths.crossed):

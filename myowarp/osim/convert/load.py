@@ -10,7 +10,7 @@ from pathlib import Path
 
 from myowarp.disk import cache_dir, files_digest, version, writable_folder
 from myowarp.osim.bundle.bundle import MODEL
-from myowarp.osim.document.read.mesh_files import mesh_files
+from myowarp.osim.document.read.shapes import mesh_files
 from myowarp.process import warn_once
 
 SOURCES = ("osim/**/*.py", "laws/**/*.py", "disk.py")
@@ -67,13 +67,13 @@ def load(path: Path, function_paths: Path | None = None, contact: str = "mujoco"
 
 def _convert(path: Path, function_paths: Path | None, folder: Path) -> None:
     """Keep the bundle of a model, and what is said of it, in a folder."""
-    from myowarp.osim.body.scale_document import read_with
     from myowarp.osim.convert.check.accelerations import too_fast  # a model in the cache needs none of these
     from myowarp.osim.convert.compose.convert import Options, convert
     from myowarp.osim.document.model import Loss
+    from myowarp.osim.document.read.model import read_model
 
     try:
-        model = read_with(path, function_paths=function_paths)
+        model = read_model(path, function_paths=function_paths)
     except NotImplementedError as error:
         raise ValueError(str(error)) from error
     bundle = convert(model, Options(tendons=False))

@@ -14,7 +14,7 @@ import mujoco
 from myowarp.disk import check_folder, files_digest
 from myowarp.extras import to_install
 from myowarp.osim.bundle.bundle import MODEL, SIDECARS, write
-from myowarp.osim.document.model import Loss, Model, pulling
+from myowarp.osim.document.model import Loss, Model
 from myowarp.progress import patient_bar
 
 if TYPE_CHECKING:
@@ -62,7 +62,6 @@ def run(
         NotImplementedError: The model contains something that is not supported.
         OSError: A file cannot be read or written.
     """
-    from myowarp.osim.body.scale_document import read_with
     from myowarp.osim.convert.check.dynamics import dynamics
     from myowarp.osim.convert.check.engines import Engine, PlainMuJoCo
     from myowarp.osim.convert.check.left_out import sized
@@ -70,6 +69,7 @@ def run(
     from myowarp.osim.convert.compose.convert import Options, Stages, convert
     from myowarp.osim.convert.report.data import along_coordinates, check, report_of
     from myowarp.osim.convert.report.page import page
+    from myowarp.osim.document.read.model import read_model
 
     if not source.is_file():
         raise ValueError(f"model {str(source)!r} is no file; give the path of an .osim file")
@@ -78,7 +78,7 @@ def run(
     check_folder(output)
     begin = time.perf_counter()
     digest = files_digest([source, *([] if function_paths is None else [function_paths])])
-    model = read_with(source, function_paths=function_paths)
+    model = read_model(source, function_paths=function_paths)
     fits, samples = _fits(model, digest, method, workers)
     if samples is not None and reference == "opensim":
         from myowarp.osim.convert.check.oracle import against_opensim
@@ -88,7 +88,7 @@ def run(
     stages = Stages(tendons, {fit.name: fit.force for fit in fits.muscles})
     converted = convert(model, Options(mesh_folders), stages)
     converted = dataclasses.replace(converted, notes=sized(source, model, converted.notes))
-    if pulling(model) and samples is None:
+    if model.pulling and samples is None:
         note = Loss("/forceset", NO_FITS, code="fits")
         converted = dataclasses.replace(converted, notes=(*converted.notes, note))
     couplings = converted.couplings
@@ -128,12 +128,12 @@ def _fits(model: Model, digest: str, method: str, workers: int) -> tuple["Fits",
     """Return the fits of all paths in the model's order, and the poses; nothing without SciPy."""
     from myowarp.osim.convert.tendon.fitted import Fits, MuscleFit
 
-    if importlib.util.find_spec("scipy") is None or not pulling(model):
+    if importlib.util.find_spec("scipy") is None or not model.pulling:
         return Fits(), None
     from myowarp.osim.convert.tendon.fits import PAPER, Methods, fit_muscles, sampled
 
     methods = PAPER if method == "paper" else Methods()
-    samples, order = sampled(model), list(pulling(model))
+    samples, order = sampled(model), list(model.pulling)
     found = []
     with patient_bar("Fitting", "paths", len(order), patience=PATIENCE) as advance:
         for fit in fit_muscles(model, samples, digest, methods, workers or os.cpu_count() or 1):

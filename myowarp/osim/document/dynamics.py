@@ -16,8 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from myowarp.osim.document.functions import derivatives
-from myowarp.osim.document.kinematics import about, complete, independent
+from myowarp.osim.document.kinematics import about, complete
 from myowarp.osim.document.model import GROUND, Joint, Model, Move
 
 Array = np.ndarray
@@ -72,10 +71,10 @@ class Moving:
         """Return the frame behind a slide or hinge."""
         axis = self.rotation @ move.axis
         if move.coordinate is None:
-            value, slope, bend = derivatives(move.function, np.zeros(len(axis)))
+            value, slope, bend = move.function.derivatives(np.zeros(len(axis)))
             rate, second = np.zeros((len(self.turn), len(axis))), np.zeros(len(axis))
         else:
-            value, slope, bend = derivatives(move.function, coordinates.value[move.coordinate])
+            value, slope, bend = move.function.derivatives(coordinates.value[move.coordinate])
             inner = coordinates.rate[move.coordinate]
             rate = slope * inner
             second = bend * inner[0] ** 2 + slope * coordinates.second[move.coordinate]
@@ -150,7 +149,7 @@ def _behind(joint: Joint, parent: Moving, coordinates: Coordinates) -> Moving:
 
 def rates(model: Model, values: Mapping[str, Array], speeds: Array) -> Coordinates:
     """Return all coordinates; couplers move with those that they follow. Arguments as in `equations`."""
-    count, free = len(speeds), independent(model)
+    count, free = len(speeds), model.independent
     value = complete(model, values, count)
     rate = {name: np.zeros((len(free) + 1, count)) for name in value}
     second = {name: np.zeros(count) for name in value}
@@ -162,7 +161,7 @@ def rates(model: Model, values: Mapping[str, Array], speeds: Array) -> Coordinat
         if coupler.independent in model.couplers:
             follow(coupler.independent)
         inner = rate[coupler.independent]
-        _, slope, bend = derivatives(coupler.function, value[coupler.independent])
+        _, slope, bend = coupler.function.derivatives(value[coupler.independent])
         rate[name] = slope * inner
         second[name] = bend * inner[0] ** 2 + slope * second[coupler.independent]
 

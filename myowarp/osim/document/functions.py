@@ -1,7 +1,7 @@
 """Scalar functions of an OpenSim model: joint axes, couplers, moving points, force curves.
 
-Each function is a frozen dataclass with `value(x)` and `derivative(x)`, both vectorised over NumPy
-arrays of any shape, in float64. Most are piecewise polynomials and say only which ones (`Pieces`).
+Each function is a frozen dataclass with `value(x)`, `derivative(x)` and `derivatives(x)`, vectorised over
+NumPy arrays of any shape, in float64. Most are piecewise polynomials and say only which ones (`Pieces`).
 
 Source: OpenSim's documentation of its Function classes. `SimmSpline` is the cubic spline of
 Forsythe, Malcolm, Moler, *Computer Methods for Mathematical Computations* (1977), chapter 4, with
@@ -14,7 +14,6 @@ from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import comb
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,17 +24,23 @@ from myowarp.laws.simm_spline import LEAST_STEP, simm_coefficients
 Array = np.ndarray
 
 
-class Function(Protocol):
+class Function:
     """A scalar function of one variable."""
+
+    @abstractmethod
+    def derivatives(self, x: ArrayLike) -> tuple[Array, Array, Array]:
+        """Return f(x), f'(x) and f''(x), each in the shape of `x`."""
 
     def value(self, x: ArrayLike) -> Array:
         """Return f(x), in the shape of `x`."""
+        return self.derivatives(x)[0]
 
     def derivative(self, x: ArrayLike) -> Array:
         """Return df/dx, in the shape of `x`."""
+        return self.derivatives(x)[1]
 
 
-class Piecewise:
+class Piecewise(Function):
     """A function that is a polynomial between breaks."""
 
     @property
@@ -43,13 +48,9 @@ class Piecewise:
     def pieces(self) -> Pieces:
         """Return its polynomials."""
 
-    def value(self, x: ArrayLike) -> Array:
-        """Return f(x), in the shape of `x`."""
-        return self.pieces.value(x)
-
-    def derivative(self, x: ArrayLike) -> Array:
-        """Return df/dx, in the shape of `x`."""
-        return self.pieces.derivative(x)
+    def derivatives(self, x: ArrayLike) -> tuple[Array, Array, Array]:
+        """Return f(x), f'(x) and f''(x), each in the shape of `x`."""
+        return self.pieces.derivatives(x)
 
 
 @dataclass(frozen=True)
@@ -91,39 +92,34 @@ class Linear(Piecewise):
 
 
 @dataclass(frozen=True)
-class Multiplier:
+class Multiplier(Function):
     """f(x) = scale g(x)."""
 
     function: Function
     scale: float
 
-    def value(self, x: ArrayLike) -> Array:
-        """Return scale g(x)."""
-        return self.scale * self.function.value(x)
-
-    def derivative(self, x: ArrayLike) -> Array:
-        """Return scale dg/dx."""
-        return self.scale * self.function.derivative(x)
+    def derivatives(self, x: ArrayLike) -> tuple[Array, Array, Array]:
+        """Return those of g, times the scale."""
+        value, slope, bend = self.function.derivatives(x)
+        return self.scale * value, self.scale * slope, self.scale * bend
 
 
 @dataclass(frozen=True)
-class Composed:
+class Composed(Function):
     """f(x) = outer(inner(x))."""
 
     outer: Function
     inner: Function
 
-    def value(self, x: ArrayLike) -> Array:
-        """Return outer(inner(x))."""
-        return self.outer.value(self.inner.value(x))
-
-    def derivative(self, x: ArrayLike) -> Array:
-        """Return the product of the slopes."""
-        return self.outer.derivative(self.inner.value(x)) * self.inner.derivative(x)
+    def derivatives(self, x: ArrayLike) -> tuple[Array, Array, Array]:
+        """Return outer(inner(x)), and what follows by the chain rule."""
+        between, first, first_bend = self.inner.derivatives(x)
+        value, last, last_bend = self.outer.derivatives(between)
+        return value, last * first, last_bend * first**2 + last * first_bend
 
 
 @dataclass(frozen=True)
-class Held:
+class Held(Function):
     """f(x) at the nearer end of a range for an x beyond it, but the slope of f at x itself.
 
     So OpenSim places moving points (`MovingPathPoint::getLocation` clamps, `getdPointdQ` does not).
@@ -133,17 +129,14 @@ class Held:
     low: float
     high: float
 
-    def value(self, x: ArrayLike) -> Array:
-        """Return f within the range."""
-        return self.function.value(np.clip(x, self.low, self.high))
-
-    def derivative(self, x: ArrayLike) -> Array:
-        """Return df/dx."""
-        return self.function.derivative(x)
+    def derivatives(self, x: ArrayLike) -> tuple[Array, Array, Array]:
+        """Return f within the range, and its slopes at x."""
+        value, *_ = self.function.derivatives(np.clip(x, self.low, self.high))
+        return value, *self.function.derivatives(x)[1:]
 
 
 @dataclass(frozen=True)
-class Sine:
+class Sine(Function):
     """f(x) = amplitude sin(omega x + phase) + offset."""
 
     amplitude: float
@@ -151,13 +144,12 @@ class Sine:
     phase: float
     offset: float = 0.0
 
-    def value(self, x: ArrayLike) -> Array:
-        """Return the sine."""
-        return self.amplitude * np.sin(self.omega * np.asarray(x, float) + self.phase) + self.offset
-
-    def derivative(self, x: ArrayLike) -> Array:
-        """Return its slope."""
-        return self.amplitude * self.omega * np.cos(self.omega * np.asarray(x, float) + self.phase)
+    def derivatives(self, x: ArrayLike) -> tuple[Array, Array, Array]:
+        """Return the sine, and its slopes."""
+        turned = self.omega * np.asarray(x, float) + self.phase
+        value = self.amplitude * np.sin(turned) + self.offset
+        slope = self.amplitude * self.omega * np.cos(turned)
+        return value, slope, -(self.omega**2) * (value - self.offset)
 
 
 @dataclass(frozen=True)
@@ -297,32 +289,6 @@ def curves(function: Function) -> tuple[Pieces, ...] | None:
             last = curves(outer)
             return None if last is None else first + last
     return None
-
-
-def derivatives(function: Function, x: ArrayLike) -> tuple[Array, Array, Array]:
-    """Return f(x), f'(x) and f''(x), each in the shape of `x`.
-
-    Raises:
-        TypeError: The function is none of this file's.
-    """
-    x = np.asarray(x, float)
-    match function:
-        case Piecewise():
-            return function.pieces.derivatives(x)
-        case Multiplier(inner, scale):
-            value, slope, bend = derivatives(inner, x)
-            return scale * value, scale * slope, scale * bend
-        case Held(inner, low, high):
-            value, *_ = derivatives(inner, np.clip(x, low, high))
-            return value, *derivatives(inner, x)[1:]
-        case Composed(outer, inner):
-            between, first, first_bend = derivatives(inner, x)
-            value, last, last_bend = derivatives(outer, between)
-            return value, last * first, last_bend * first**2 + last * first_bend
-        case Sine(_, omega, _, offset):
-            value = function.value(x)
-            return value, function.derivative(x), -(omega**2) * (value - offset)
-    raise TypeError(f"{type(function).__name__} has no second derivative")
 
 
 def affine(function: Function) -> tuple[float, float] | None:

@@ -6,7 +6,6 @@ and the inverse of its frame in the child (Seth et al. 2010, doi:10.1016/j.piuta
 are evaluated, not assembled; constraints that close loops are not enforced.
 """
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -18,43 +17,18 @@ Array = np.ndarray
 Frames = dict[str, tuple[Array, Array]]
 """Of each body and of ground: rotations, shape `(n, 3, 3)`, and origins [m], shape `(n, 3)`, in ground."""
 
-UNBOUNDED = 2 * math.pi
-"""A coordinate whose stated range is wider on one side [rad, m] was given none by its author."""
 FLOATING = 3
 """Coordinates of a joint with ground from which it carries the model through space."""
-DEFAULT_REACH = {True: math.pi / 2, False: 0.5}
-"""Sampled to both sides of the default where there is no range; by `rotational` [rad, m]."""
-
-
-def independent(model: Model) -> list[str]:
-    """Return the coordinates that are free: neither locked nor driven by a coupler."""
-    return [
-        name
-        for name, coordinate in model.coordinates.items()
-        if not coordinate.locked and name not in model.couplers
-    ]
 
 
 def floating(model: Model) -> list[str]:
     """Return the coordinates of joints that carry the model through space."""
     found = []
     for joint in model.joints.values():
-        own = [name for name in independent(model) if model.coordinates[name].joint == joint.name]
+        own = [name for name in model.independent if model.coordinates[name].joint == joint.name]
         if joint.parent == GROUND and len(own) >= FLOATING:
             found += own
     return found
-
-
-def sampling_range(model: Model, name: str) -> tuple[float, float]:
-    """Return the range over which a coordinate is sampled and fitted [rad] or [m]."""
-    coordinate = model.coordinates[name]
-    if coordinate.locked:
-        return coordinate.default, coordinate.default
-    low, high = coordinate.range
-    reach = DEFAULT_REACH[coordinate.rotational]
-    low = coordinate.default - reach if low < -UNBOUNDED else low
-    high = coordinate.default + reach if high > UNBOUNDED else high
-    return (low, high) if low < high else (coordinate.default - reach, coordinate.default + reach)
 
 
 def random_poses(model: Model, count: int, seed: int) -> dict[str, Array]:
@@ -64,7 +38,9 @@ def random_poses(model: Model, count: int, seed: int) -> dict[str, Array]:
         Values of all coordinates [rad] or [m], each of shape (count,).
     """
     random = np.random.default_rng(seed)
-    chosen = {name: random.uniform(*sampling_range(model, name), count) for name in independent(model)}
+    chosen = {
+        name: random.uniform(*model.coordinates[name].sampling_range, count) for name in model.independent
+    }
     return complete(model, chosen, count)
 
 

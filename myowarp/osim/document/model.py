@@ -7,6 +7,7 @@ vectors are float64 arrays of shape (3,), rotations (3, 3) with the axes of the 
 Dictionaries keep the order of the file; joints are ordered parents first.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
@@ -32,6 +33,10 @@ from myowarp.osim.document.elements import (
 from myowarp.osim.document.functions import Function
 
 GROUND = "ground"
+UNBOUNDED = 2 * math.pi
+"""A coordinate whose stated range is wider on one side [rad, m] was given none by its author."""
+DEFAULT_REACH = {True: math.pi / 2, False: 0.5}
+"""Sampled to both sides of the default where there is no range; by `rotational` [rad, m]."""
 
 Array = np.ndarray
 
@@ -119,11 +124,22 @@ class Coordinate:
     default: float
     """[rad] or [m]."""
     range: tuple[float, float]
-    """Low, high [rad] or [m]; meaningless where nobody set it (see `sampling_range`)."""
+    """Low, high [rad] or [m]; meaningless where nobody set it."""
     clamped: bool
     """Whether the range is a limit."""
     locked: bool
     """Whether it stays at its default."""
+
+    @property
+    def sampling_range(self) -> tuple[float, float]:
+        """Low and high between which it is sampled and fitted [rad] or [m]."""
+        if self.locked:
+            return self.default, self.default
+        low, high = self.range
+        reach = DEFAULT_REACH[self.rotational]
+        low = self.default - reach if low < -UNBOUNDED else low
+        high = self.default + reach if high > UNBOUNDED else high
+        return (low, high) if low < high else (self.default - reach, self.default + reach)
 
 
 @dataclass(frozen=True)
@@ -256,10 +272,19 @@ class Model:
         """Of all bodies [kg]."""
         return sum(body.mass for body in self.bodies.values())
 
+    @property
+    def independent(self) -> list[str]:
+        """The coordinates that are free: neither locked nor driven by a coupler."""
+        return [
+            name
+            for name, coordinate in self.coordinates.items()
+            if not coordinate.locked and name not in self.couplers
+        ]
 
-def pulling(model: Model) -> dict[str, Path]:
-    """Return the paths of all muscles, ligaments and path actuators, by name."""
-    paths = {name: muscle.path for name, muscle in model.muscles.items()}
-    paths.update((name, ligament.path) for name, ligament in model.ligaments.items())
-    paths.update((actuator.name, actuator.path) for actuator in model.path_actuators)
-    return paths
+    @property
+    def pulling(self) -> dict[str, Path]:
+        """The paths of all muscles, ligaments and path actuators, by name."""
+        paths = {name: muscle.path for name, muscle in self.muscles.items()}
+        paths.update((name, ligament.path) for name, ligament in self.ligaments.items())
+        paths.update((actuator.name, actuator.path) for actuator in self.path_actuators)
+        return paths

@@ -34,8 +34,8 @@ class Place:
         import numpy as np
 
         from myowarp.motion.orientations import Placing, place, read_orientations
-        from myowarp.osim.body.scale_document import Document
         from myowarp.osim.document.read.element import parse
+        from myowarp.osim.document.read.model import Document
 
         placing = Placing() if self.setup is None else Placing.read(self.setup)
         placing = replace(placing, orientations=self.orientations or placing.orientations)

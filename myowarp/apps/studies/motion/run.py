@@ -12,7 +12,8 @@ What is there is not done again, unless files or row of its trial changed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import importlib.util
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from functools import partial
@@ -23,12 +24,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.console import Console
 
+from myowarp.apps.reports.panel import band, grid, save, style
 from myowarp.apps.studies.cluster import connected, each
-from myowarp.apps.studies.motion.figure import draw_forces
 from myowarp.apps.studies.motion.plan import Piece, Study, plan_study, recording_of
 from myowarp.apps.studies.parts import LOCK, RESULTS, SUMMARY, agree, part, remove_damaged
 from myowarp.disk import check_folder, in_place, locked, make_folder, sentence, write_rows
 from myowarp.extras import check_installed
+from myowarp.inks import BLUE
 from myowarp.motion.draws import Drawn, Recording, draw_trial
 from myowarp.motion.residuals import SMALL, Residuals
 from myowarp.motion.results import MISSING, RESERVES
@@ -41,6 +43,8 @@ if TYPE_CHECKING:
 
 SHOWN = 3
 """The worst trials, which are named."""
+STRONGEST, COLUMNS = 24, 6
+"""Muscles in the picture of a trial, and how many of them side by side."""
 FRAMES = 4096
 """Frames that are solved together, unless one draw has more."""
 LOW, HIGH = 0.05, 0.95
@@ -302,3 +306,38 @@ def spread(output: Path, trial: str, parts: list[int]) -> Path:
         if what == "force":
             draw_forces(folder / "forces.png", trial, labels, time, list(found.values()))
     return folder
+
+
+def draw_forces(
+    path: Path, trial: str, muscles: Sequence[str], time: np.ndarray, lines: Sequence[np.ndarray]
+) -> None:
+    """Draw the forces of the strongest muscles over time, with intervals over draws; not without matplotlib.
+
+    Args:
+        path: A .png file.
+        trial: Name, for the title.
+        muscles: Names.
+        time: [s], shape (frames,).
+        lines: Forces of the trial as it is [N], shape (frames, muscles), and both ends of intervals.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    if importlib.util.find_spec("matplotlib") is None:
+        return
+    chosen = np.argsort(-lines[0].max(axis=0), kind="stable")[:STRONGEST]
+    columns = min(COLUMNS, len(chosen))
+    with style():
+        figure, panels = grid(len(chosen), columns, 2.4 * columns, 1.7, 0.5, sharex=True)
+        for axes, k in zip(panels, chosen, strict=True):
+            middle, low, high = (lines[n if len(lines) > 1 else 0][:, k] for n in (0, 1, 2))
+            band(axes, time, (low, middle, high), color=BLUE, linewidth=1.4)
+            axes.set_title(muscles[k])
+            axes.set_ylim(0.0, None)
+        for axes in panels[(len(chosen) - 1) // columns * columns :]:
+            axes.set_xlabel("Time [s]")
+        for axes in panels[::columns]:
+            axes.set_ylabel("Force [N]")
+        note = "; band: 90 % of the draws" if len(lines) > 1 else ""
+        figure.suptitle(f"{trial}: forces of the strongest muscles{note}", x=0.01, ha="left")
+        save(figure, path)

@@ -10,10 +10,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from myowarp.osim.body.hill_muscle import HillMuscle, known
-from myowarp.osim.body.on_device import lengths_and_moment_arms
+from myowarp.osim.body.path_solution import lengths_and_moment_arms
 from myowarp.osim.bundle.couplings import REGULAR, regularity
 from myowarp.osim.document.dynamics import equations
-from myowarp.osim.document.kinematics import independent
 from myowarp.osim.document.model import Model
 from myowarp.process import listed
 
@@ -29,7 +28,7 @@ LISTED = 4
 
 def too_fast(model: Model) -> list[str]:
     """Return what is too fast in a model, one sentence each; none where masses say no acceleration."""
-    free = independent(model)
+    free = model.independent
     values = {name: np.array([model.coordinates[name].default]) for name in free}
     speeds = np.zeros((1, len(free)))
     if not free:

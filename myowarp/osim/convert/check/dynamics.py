@@ -21,7 +21,6 @@ from myowarp.osim.bundle.couplings import regularity
 from myowarp.osim.convert.check.engines import Engine, States
 from myowarp.osim.convert.check.oracle import opensim_equations, speaks_of_dynamics
 from myowarp.osim.document.dynamics import equations
-from myowarp.osim.document.kinematics import independent, sampling_range
 from myowarp.osim.document.model import Model
 
 Array = np.ndarray
@@ -117,7 +116,7 @@ def dynamics(
         advance: Is told when one more of the reference and the engines is done.
         seed: Of the states.
     """
-    free = independent(model)
+    free = model.independent
     rotational = {name: model.coordinates[name].rotational for name in free}
 
     def own(values: Array, speeds: Array) -> tuple[Array, Array]:
@@ -145,8 +144,8 @@ def dynamics(
 
 def _samples(model: Model, own: Equations, reference: Equations, seed: int) -> Samples | None:
     """Draw states, and ask the reference; what it leaves undetermined goes."""
-    random, free = np.random.default_rng(seed), independent(model)
-    low, high = np.array([sampling_range(model, name) for name in free]).T
+    random, free = np.random.default_rng(seed), model.independent
+    low, high = np.array([model.coordinates[name].sampling_range for name in free]).T
     speed = np.array([SPEED[model.coordinates[name].rotational] for name in free])
     poses = random.uniform(low, high, (REST + STATES, len(free)))
     speeds = random.uniform(-speed, speed, poses.shape)

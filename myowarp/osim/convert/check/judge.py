@@ -13,13 +13,12 @@ import numpy as np
 
 from myowarp.laws.paths.tables import TURNS
 from myowarp.osim.body.hill_muscle import ACTIVATIONS, HillMuscle, known
-from myowarp.osim.body.on_device import PathsFound, lengths_and_moment_arms
+from myowarp.osim.body.path_solution import PathsFound, lengths_and_moment_arms
 from myowarp.osim.convert.check.gates import Gate
 from myowarp.osim.convert.check.muscles import Motion, engine_force
 from myowarp.osim.convert.compose.convert import Converted
 from myowarp.osim.convert.tendon.fits import Samples
 from myowarp.osim.convert.tendon.fitted import Fits, MuscleFit
-from myowarp.osim.document.kinematics import independent
 
 Array = np.ndarray
 
@@ -212,7 +211,7 @@ def judge(
     if not fits.muscles:
         return Judgement([], [])
     source = converted.model
-    free = independent(source)
+    free = source.independent
     values = {name: samples.check.coordinates[name] for name in free}
     paths = {fit.name: source.muscles[fit.name].path for fit in fits.muscles}
     still = np.zeros((len(found.length), len(free)))

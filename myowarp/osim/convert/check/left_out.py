@@ -14,7 +14,7 @@ import numpy as np
 
 from myowarp.osim.convert.check.oracle import opened
 from myowarp.osim.document.elements import Bushing
-from myowarp.osim.document.kinematics import Frames, forward, independent, random_poses
+from myowarp.osim.document.kinematics import Frames, forward, random_poses
 from myowarp.osim.document.model import Loss, Model, Note
 
 Array = np.ndarray
@@ -78,7 +78,7 @@ def _recorded(
         _, place, *rest = path.split("/")
         if place in sets and sets[place].getIndex("/".join(rest)) >= 0:
             items[path] = sets[place].get("/".join(rest))
-    free = independent(model)
+    free = model.independent
     found: dict[str, tuple[float, str]] = {}
     for index in range(POSES if items else 0):
         for name in free:

@@ -16,8 +16,7 @@ from myowarp.extras import to_install
 from myowarp.osim.body.hill_muscle import HillMuscle, known
 from myowarp.osim.body.moment_arm import STEP, Poses, Reference
 from myowarp.osim.convert.tendon.fitted import Fits
-from myowarp.osim.document.functions import derivatives
-from myowarp.osim.document.kinematics import complete, independent
+from myowarp.osim.document.kinematics import complete
 from myowarp.osim.document.model import Model
 
 if TYPE_CHECKING:
@@ -64,7 +63,7 @@ def opensim_equations(
         ValueError: OpenSim is not installed, or does not read the file.
     """
     opensim, loaded = opened(source)
-    free = independent(model)
+    free = model.independent
     for index in range(loaded.getForceSet().getSize()):
         loaded.updForceSet().get(index).set_appliesForce(False)
     motors = [opensim.CoordinateActuator(name) for name in free]
@@ -89,7 +88,7 @@ def opensim_equations(
     while waiting:
         for name in [name for name, coupler in waiting.items() if coupler.independent not in waiting]:
             coupler = waiting.pop(name)
-            slope = derivatives(coupler.function, value[coupler.independent])[1]
+            slope = coupler.function.derivatives(value[coupler.independent])[1]
             rate[name] = slope * rate[coupler.independent]
     responses, still = np.zeros((count, len(free), len(free))), np.zeros((count, len(free)))
 

@@ -6,13 +6,10 @@ import io
 import json
 from collections.abc import Iterable
 
-from myowarp.laws.paths.tables import OsimPaths, Rows, Vector
-from myowarp.laws.pieces import line
-from myowarp.osim.body.described import Value, described, vector
+from myowarp.osim.body.described import Value, axes_and_origin, bushing_of, described
 from myowarp.osim.body.hill_muscle import HillMuscle
 from myowarp.osim.bundle.contacts import DocumentContacts, SurfacePair
 from myowarp.osim.bundle.forces import (
-    BodyBushing,
     BodyPush,
     JointLimit,
     JointPush,
@@ -23,9 +20,9 @@ from myowarp.osim.bundle.paths import DocumentPaths, Driven
 from myowarp.osim.convert.compose.geometry import Build, default_of, reduced
 from myowarp.osim.convert.compose.passive import is_of_joint
 from myowarp.osim.document.contacts import contact_pairs
-from myowarp.osim.document.elements import LEAST_TRANSITION, Bushing, CoordinateLimitForce, Ligament, Pose
-from myowarp.osim.document.functions import Function, curves
-from myowarp.osim.document.model import GROUND, Model, Note, pulling
+from myowarp.osim.document.elements import LEAST_TRANSITION, CoordinateLimitForce, Ligament
+from myowarp.osim.document.functions import Constant, Function, Linear, curves
+from myowarp.osim.document.model import GROUND, Model
 
 UNITS = {
     "max_isometric_force": "N",
@@ -48,48 +45,30 @@ def document_paths(build: Build, model: Model) -> DocumentPaths | None:
     A path that depends on a coordinate by a function that is no polynomial is noted, and so are all others
     with it: the model then keeps its fitted tendons.
     """
-    found, values = described(model, pulling(model))
+    found, values = described(model, model.pulling, lambda name: build.bodies[name].name)
     driven: list[Driven] = []
     for value in values:
         one = _driven(build, value)
         if one is None:
             rule = f"a point depends on {value[1]!r} by a function that is no polynomial; tendons are fitted"
-            build.notes.append(Note("/forceset", rule))
+            build.note("/forceset", rule)
             return None
         driven.append(one)
     if not found.paths:
         return None
-    return DocumentPaths(
-        _renamed(found, {name: body.name for name, body in build.bodies.items()}), tuple(driven)
-    )
+    return DocumentPaths(found, tuple(driven))
 
 
 def _driven(build: Build, value: Value) -> Driven | None:
     """Return the joint that a value depends on, None for none, and how; None if that is no polynomial."""
     function, free = reduced(build.model, *value)
     if free is None or free not in build.carriers:
-        return None, (line(0.0, default_of(build.model, function, free)),)
+        return None, (Constant(default_of(build.model, function, free)).pieces,)
     chain = curves(function)
     joint, scale = build.carriers[free]
     if chain is None:
         return None
-    return joint, chain if scale == 1 else (line(1 / scale), *chain)
-
-
-def _renamed(paths: OsimPaths, bodies: dict[str, str]) -> OsimPaths:
-    """Return the same paths with MuJoCo's names of bodies."""
-    surfaces = {
-        name: dataclasses.replace(surface, body=bodies[surface.body])
-        for name, surface in paths.surfaces.items()
-    }
-    named = {
-        name: dataclasses.replace(
-            path,
-            points=tuple(dataclasses.replace(point, body=bodies[point.body]) for point in path.points),
-        )
-        for name, path in paths.paths.items()
-    }
-    return OsimPaths(named, surfaces)
+    return joint, chain if scale == 1 else (Linear(1 / scale).pieces, *chain)
 
 
 def passive_forces(build: Build, has_paths: bool) -> PassiveForces | None:
@@ -110,12 +89,13 @@ def passive_forces(build: Build, has_paths: bool) -> PassiveForces | None:
         for item in model.coordinate_formulas
         if item.coordinate in build.carriers
     )
-    bushings = tuple(_bushing(build, item) for item in model.bushings if not is_of_joint(build, item))
+    apart = (item for item in model.bushings if not is_of_joint(build, item))
+    bushings = tuple(bushing_of(item, lambda name: build.bodies[name].name) for item in apart)
     body_pushes = tuple(
         BodyPush(
             build.bodies[item.body].name,
             build.bodies[GROUND].name,
-            *_posed(item.frame),
+            *axes_and_origin(item.frame),
             item.force_in_ground,
             item.point_in_ground,
             item.formulas,
@@ -124,27 +104,6 @@ def passive_forces(build: Build, has_paths: bool) -> PassiveForces | None:
     )
     found = PassiveForces(limits, pulling, pushes=pushes, bushings=bushings, body_pushes=body_pushes)
     return found if found.acts else None
-
-
-def _posed(frame: Pose) -> tuple[Rows, Vector]:
-    """Return axes by rows and origin of a frame."""
-    return tuple(vector(row) for row in frame.rotation), vector(frame.position)  # type: ignore[return-value]
-
-
-def _bushing(build: Build, item: Bushing) -> BodyBushing:
-    """Return a bushing with MuJoCo's names of bodies."""
-    (first_turn, first), (second_turn, second) = map(_posed, item.frames)
-    one, other = (build.bodies[body].name for body in item.bodies)
-    return BodyBushing(
-        bodies=(one, other),
-        rotations=(first_turn, second_turn),
-        origins=(first, second),
-        turn_stiffness=vector(item.rotational_stiffness),
-        shift_stiffness=vector(item.translational_stiffness),
-        turn_damping=vector(item.rotational_damping),
-        shift_damping=vector(item.translational_damping),
-        formulas=item.formulas,
-    )
 
 
 def _limit(build: Build, item: CoordinateLimitForce) -> JointLimit:
@@ -168,7 +127,7 @@ def _ligament(build: Build, item: Ligament) -> TendonSpring | None:
     chain = curves(item.force)
     if chain is None:
         rule = "its curve is no polynomial; it is the spring of plain MuJoCo"
-        build.notes.append(Note(f"/forceset/{item.name}", rule))
+        build.note(f"/forceset/{item.name}", rule)
         return None
     return TendonSpring(item.name, item.resting_length, item.dissipation, item.damping, chain, item.formula)
 
@@ -183,7 +142,7 @@ def document_contacts(build: Build, model: Model) -> DocumentContacts | None:
     try:
         pairs = contact_pairs(model)
     except ValueError as error:
-        build.notes.append(Note("/contactgeometryset", str(error)))
+        build.note("/contactgeometryset", str(error))
         return None
     found = tuple(SurfacePair.of(pair, lambda name: build.bodies[name].name) for pair in pairs)
     return DocumentContacts(found) if found else None

@@ -33,7 +33,7 @@ from myowarp.osim.convert.compose.points import add_markers, add_moving_points, 
 from myowarp.osim.convert.compose.visible_body import add_visible_body
 from myowarp.osim.convert.tendon.path import TendonPath
 from myowarp.osim.document.contacts import resting
-from myowarp.osim.document.model import Model, Muscle, Note, pulling
+from myowarp.osim.document.model import Model, Muscle
 
 if TYPE_CHECKING:
     from myowarp.osim.convert.tendon.force import ForceFit
@@ -110,7 +110,7 @@ def convert(model: Model, options: Options = Options(), stages: Stages = Stages(
     if forces is not None:
         forces = replace(forces, springs=tuple(build.springs), dampers=build.dampers, bare=build.bare)
     # What stands for functions in plain MuJoCo alone is no loss where it does not run.
-    tangents = {f"/forceset/{name}" for name, path in pulling(model).items() if path.function is not None}
+    tangents = {f"/forceset/{name}" for name, path in model.pulling.items() if path.function is not None}
     meshes = add_shapes(build, options.mesh_folders)
     for name, text in (("credits", model.credits), ("publications", model.publications)):
         if text:
@@ -156,9 +156,7 @@ def _add_muscle(build: Build, muscle: Muscle, moving: Mapping[int, str], stages:
     tendon = path_tendon(build, muscle.name, muscle.path, moving, stages.tendons)
     tendon.rgba = (0.8, 0.1, 0.1, 1.0)
     if not muscle.applies_force:
-        build.notes.append(
-            Note(f"/forceset/{muscle.name}", "switched off in the file; a tendon without actuator")
-        )
+        build.note(f"/forceset/{muscle.name}", "switched off in the file; a tendon without actuator")
         return
     fit = stages.forces.get(muscle.name)
     actuator = build.spec.add_actuator(
@@ -169,9 +167,7 @@ def _add_muscle(build: Build, muscle: Muscle, moving: Mapping[int, str], stages:
     actuator.gaintype = mujoco.mjtGain.mjGAIN_MUSCLE
     actuator.biastype = mujoco.mjtBias.mjBIAS_MUSCLE
     if fit is None:
-        build.notes.append(
-            Note(f"/forceset/{muscle.name}", "plain parameters of MuJoCo's muscle, not fitted")
-        )
+        build.note(f"/forceset/{muscle.name}", "plain parameters of MuJoCo's muscle, not fitted")
         actuator.lengthrange, actuator.gainprm = _plain(muscle)
         actuator.biasprm = actuator.gainprm
         dynamics = None if muscle.ignore_activation_dynamics else _time_constants(muscle)

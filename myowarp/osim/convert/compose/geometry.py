@@ -9,12 +9,13 @@ quartic (see `fit`). Masses of zero get a floor where MuJoCo needs one. Every de
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from myowarp.laws.pieces import Pieces, line
+from myowarp.laws.pieces import Pieces
 from myowarp.osim.bundle.coordinate_map import CoordinateMap, Dependent, MappedCoordinate
 from myowarp.osim.bundle.couplings import REGULAR, Couplings, regularity
 from myowarp.osim.convert.compose.quartics import Quartic, fit_all
@@ -25,12 +26,13 @@ from myowarp.osim.document.functions import (
     Composed,
     Constant,
     Function,
+    Linear,
     Multiplier,
     affine,
     curves,
 )
-from myowarp.osim.document.kinematics import about, independent, sampling_range
-from myowarp.osim.document.model import GROUND, Joint, Model, Move, Note
+from myowarp.osim.document.kinematics import about
+from myowarp.osim.document.model import GROUND, Joint, Loss, Model, Move, Note
 
 Array = np.ndarray
 
@@ -94,6 +96,14 @@ class Build:
             unique, number = f"{name}_{number}", number + 1
         self.names.add((kind, unique))
         return unique
+
+    def note(self, path: str, rule: str, error_bound: str | None = None) -> None:
+        """Note an element that is not carried over exactly."""
+        self.notes.append(Note(path, rule, error_bound))
+
+    def lose(self, path: str, rule: str, **said: Any) -> None:
+        """Note what acts in the document and not, or not as there, in the result; see `Loss`."""
+        self.notes.append(Loss(path, rule, **said))
 
 
 def begin(model: Model, starts: dict[str, float]) -> Build:
@@ -226,7 +236,7 @@ def _add_body(build: Build, joint: Joint, moving: dict[str, float]) -> None:
             weigh(build, body)
             rule = "moves by more joints than a body may have; some are on a light body before it"
             bound = f"{MIN_MASS:g} kg, {MIN_INERTIA:g} kg m^2"
-            build.notes.append(Note(f"/bodyset/{joint.child}", rule, bound))
+            build.note(f"/bodyset/{joint.child}", rule, bound)
     build.bodies[joint.child] = body
     _add_inertia(build, joint.child, body, floor=bool(placed) and moving[joint.child] <= 0)
 
@@ -281,7 +291,7 @@ def positive(moments: Array, mass: float) -> Array:
 
 def _regular(model: Model) -> bool:
     """Return whether forces determine accelerations in the default pose, with the document's inertias."""
-    free = independent(model)
+    free = model.independent
     start = {name: np.array([model.coordinates[name].default]) for name in free}
     M, _ = equations(model, start, np.zeros((1, len(free))))
     return not free or regularity(M[0]) >= REGULAR
@@ -296,12 +306,10 @@ def _add_inertia(build: Build, name: str, body: mujoco.MjsBody, floor: bool) -> 
     stated = mass, tuple(values.tolist()) if mass > 0 else (0.0, 0.0, 0.0)
     if floor:
         mass, values = MIN_MASS, np.maximum(values, MIN_INERTIA)
-        build.notes.append(
-            Note(
-                f"/bodyset/{name}",
-                "moves without mass; given a small one",
-                f"{MIN_MASS:g} kg, {MIN_INERTIA:g} kg m^2",
-            )
+        build.note(
+            f"/bodyset/{name}",
+            "moves without mass; given a small one",
+            f"{MIN_MASS:g} kg, {MIN_INERTIA:g} kg m^2",
         )
     elif mass > 0 and values[0] < LEAST_INERTIA:
         lift = positive(values, mass)
@@ -310,19 +318,17 @@ def _add_inertia(build: Build, name: str, body: mujoco.MjsBody, floor: bool) -> 
         if values[0] < 0 and not _regular(build.model):
             stated = mass, tuple(np.maximum(values, 0.0).tolist())
             rule += ", and to 0 in couplings.json: no accelerations follow from them"
-        build.notes.append(Note(f"/bodyset/{name}", rule, bound))
+        build.note(f"/bodyset/{name}", rule, bound)
         values = lift
     lack = values[2] - values[0] - values[1]
     if mass > 0 and lack > -ROUNDING * values[2]:
         lift = (lack + ROUNDING * values[2]) / 2
         values = values + np.array([lift, lift, 0.0])
         if lack > ROUNDING * values[2]:
-            build.notes.append(
-                Note(
-                    f"/bodyset/{name}",
-                    "its moments of inertia break A + B >= C; the lesser ones were raised in model.xml",
-                    f"{lift:.3g} kg m^2",
-                )
+            build.note(
+                f"/bodyset/{name}",
+                "its moments of inertia break A + B >= C; the lesser ones were raised in model.xml",
+                f"{lift:.3g} kg m^2",
             )
     if mass > 0:
         if np.linalg.det(axes) < 0:
@@ -344,12 +350,10 @@ def tie(build: Build) -> CoordinateMap:
             if coordinate.clamped and coordinate.range[0] < coordinate.range[1]:
                 joint = build.spec.joint(phantom)
                 joint.range, joint.limited = coordinate.range, mujoco.mjtLimited.mjLIMITED_TRUE
-            build.notes.append(
-                Note(
-                    f"/jointset/{model.coordinates[name].joint}/{name}",
-                    "no axis is linear in it; a phantom joint shows it",
-                    "0",
-                )
+            build.note(
+                f"/jointset/{model.coordinates[name].joint}/{name}",
+                "no axis is linear in it; a phantom joint shows it",
+                "0",
             )
         dependents += _tied(build, name, [demand for demand in build.demands if demand.coordinate == name])
     for dependent in dependents:
@@ -389,7 +393,7 @@ def exact_couplings(build: Build, coordinates: CoordinateMap) -> Couplings:
         if chain is None:  # the equality is all there is
             needed.add(joint)
         else:
-            said[demand.joint] = joint, chain if scale == 1 else (line(1 / scale), *chain)
+            said[demand.joint] = joint, chain if scale == 1 else (Linear(1 / scale).pieces, *chain)
     ranges = {c.joint: sorted(c.scale * end for end in c.range) for c in coordinates.coordinates if c.joint}
     followed = {joint for joint, _ in build.carriers.values()} - needed
     for dependent in coordinates.dependents:
@@ -417,7 +421,7 @@ def _tied(build: Build, name: str, demands: Sequence[Demand]) -> list[Dependent]
     bent = [demand for demand in demands if lines[demand.joint] is None]
     if not bent:
         return exact
-    low, high = sampling_range(build.model, name)
+    low, high = build.model.coordinates[name].sampling_range
     fit = fit_all([d.function for d in bent], [d.lever for d in bent], low, high)
     phantoms: list[str] = []
     start = build.model.coordinates[name].default
@@ -440,10 +444,8 @@ def _tied(build: Build, name: str, demands: Sequence[Demand]) -> list[Dependent]
     for demand, end in zip(bent, ends, strict=True):
         unit = "m" if demand.lever == 1 else "rad"
         slope = f"slope {end.slope_error:.2g} {unit} per unit of {name} root mean square"
-        build.notes.append(
-            Note(
-                f"/joint/{demand.joint}", f"follows by a quartic: {name}", f"{end.error:.2g} {unit}; {slope}"
-            )
+        build.note(
+            f"/joint/{demand.joint}", f"follows by a quartic: {name}", f"{end.error:.2g} {unit}; {slope}"
         )
     return exact + chain + ends
 
@@ -470,6 +472,6 @@ def _mapped(build: Build, name: str) -> MappedCoordinate:
         kind,
         coordinate.rotational,
         coordinate.default,
-        sampling_range(build.model, name),
+        coordinate.sampling_range,
         coordinate.clamped,
     )

@@ -14,9 +14,8 @@ import numpy as np
 from myowarp.osim.convert.compose.geometry import Build, quaternion
 from myowarp.osim.document.elements import Shape
 from myowarp.osim.document.kinematics import about
-from myowarp.osim.document.model import Note
 from myowarp.osim.document.read.element import Element, parse
-from myowarp.osim.document.read.mesh_files import FOLDERS, located
+from myowarp.osim.document.read.shapes import FOLDERS, located
 
 MESH_GROUP, CONTACT_GROUP = 1, 0
 
@@ -50,13 +49,13 @@ def add_shapes(build: Build, folders: Sequence[Path]) -> dict[str, bytes]:
                 _add_geom(build, shape, meshes[key])
         elif shape.kind == "plane" and _moves(build.bodies[shape.body]):
             rule = "a half space on a body that moves, which MuJoCo's contact has not; left out there"
-            build.notes.append(Note(f"/contactgeometryset/{shape.name}", rule))
+            build.note(f"/contactgeometryset/{shape.name}", rule)
         else:
             _add_geom(build, shape, None)
     if missing:
         named = ", ".join(dict.fromkeys(missing))
         rule = f"{len(missing)} mesh files are not found; --meshes names their folder: {named}"
-        build.notes.append(Note("/meshes", rule, "0: for looking at only"))
+        build.note("/meshes", rule, "0: for looking at only")
     return files
 
 
@@ -112,7 +111,7 @@ def _add_mesh(
         name, content = _content(found)
         _check(name, content, shape.size)
     except ValueError as error:
-        build.notes.append(Note(where, f"the mesh cannot be used; left out: {str(error).splitlines()[0]}"))
+        build.note(where, f"the mesh cannot be used; left out: {str(error).splitlines()[0]}")
         return None
     files[name] = content
     build.spec.assets[name] = content

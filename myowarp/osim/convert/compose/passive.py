@@ -22,9 +22,8 @@ from myowarp.osim.document.elements import (
     Ligament,
     Path,
 )
-from myowarp.osim.document.functions import IDENTITY, derivatives
-from myowarp.osim.document.kinematics import sampling_range
-from myowarp.osim.document.model import GROUND, Joint, Loss, Note
+from myowarp.osim.document.functions import IDENTITY
+from myowarp.osim.document.model import GROUND, Joint
 
 STRAIN = np.linspace(0.0, 0.1, 51)[1:]
 """Of a ligament, over which its curve is fitted with a straight line and a parabola."""
@@ -97,9 +96,9 @@ def add_forces(
     for formula in build.model.coordinate_formulas:
         kind = "ExpressionBasedCoordinateForce"
         if _has_joint(build, formula.name, kind, formula.coordinate) and instead:
-            build.notes.append(Loss(f"/forceset/{formula.name}", ONLY_HERE, code=kind))
+            build.lose(f"/forceset/{formula.name}", ONLY_HERE, code=kind)
     for force in build.model.prescribed_forces if instead else ():
-        build.notes.append(Loss(f"/forceset/{force.name}", ONLY_HERE, code="PrescribedForce"))
+        build.lose(f"/forceset/{force.name}", ONLY_HERE, code="PrescribedForce")
     _add_constraints(build, instead)
 
 
@@ -142,14 +141,12 @@ def _add_body_actuator(build: Build, item: BodyActuator) -> None:
     if item.reaction != GROUND:
         rule = f"its reaction acts on ground, not on {item.reaction!r}"
         strongest = item.optimal_force * max(map(abs, item.control_range))
-        build.notes.append(
-            Loss(
-                f"/forceset/{item.name}",
-                rule,
-                code="TorqueActuator",
-                largest=strongest if math.isfinite(strongest) else item.optimal_force,
-                unit="N m",
-            )
+        build.lose(
+            f"/forceset/{item.name}",
+            rule,
+            code="TorqueActuator",
+            largest=strongest if math.isfinite(strongest) else item.optimal_force,
+            unit="N m",
         )
 
 
@@ -169,11 +166,8 @@ def path_tendon(
     ]
     left = len(path.points) - len(kept)
     if left or path.wraps:
-        build.notes.append(
-            Note(
-                f"/forceset/{name}",
-                f"a path without its {len(path.wraps)} wraps and {left} conditional points",
-            )
+        build.note(
+            f"/forceset/{name}", f"a path without its {len(path.wraps)} wraps and {left} conditional points"
         )
     return add_tendon(build.spec, TendonPath(name, tuple(Via(number) for number in kept)), path, moving)
 
@@ -187,21 +181,21 @@ def _line_tendon(build: Build, name: str, function: LengthFunction) -> mujoco.Mj
         follows, free = reduced(model, IDENTITY, of)
         if free is not None and free in build.carriers:
             joint, scale = build.carriers[free]
-            rate = float(derivatives(follows, model.coordinates[free].default)[1])
+            rate = float(follows.derivatives(model.coordinates[free].default)[1])
             slopes[joint] = slopes.get(joint, 0.0) + float(slope) * rate / scale
     if not slopes:
         raise ValueError(f"{model.source}: the length of {name!r} depends on no coordinate that moves")
     for joint, slope in slopes.items():
         tendon.wrap_joint(joint, slope)
     rule = "in plain MuJoCo the tangent of its length at the default pose, without the length there"
-    build.notes.append(Loss(f"/forceset/{name}", rule, code="FunctionBasedPath"))
+    build.lose(f"/forceset/{name}", rule, code="FunctionBasedPath")
     return tendon
 
 
 def _add_ligament(build: Build, ligament: Ligament, tendon: mujoco.MjsTendon) -> None:
     """Give a tendon a spring: the parabola through 0 that is nearest to the ligament's force."""
     if ligament.formula is not None:
-        build.notes.append(Loss(f"/forceset/{ligament.name}", ONLY_HERE, code=ligament.type))
+        build.lose(f"/forceset/{ligament.name}", ONLY_HERE, code=ligament.type)
         return
     length = STRAIN * ligament.resting_length
     force = np.asarray(ligament.force.value(1 + STRAIN))
@@ -211,9 +205,7 @@ def _add_ligament(build: Build, ligament: Ligament, tendon: mujoco.MjsTendon) ->
     tendon.stiffness[:2] = first, second
     tendon.springlength = 0.0, ligament.resting_length
     rule = "in plain MuJoCo a spring with a parabola for its curve, without damping"
-    build.notes.append(
-        Note(f"/forceset/{ligament.name}", rule, f"{error:.3g} N up to a strain of {STRAIN[-1]:g}")
-    )
+    build.note(f"/forceset/{ligament.name}", rule, f"{error:.3g} N up to a strain of {STRAIN[-1]:g}")
 
 
 def _has_joint(build: Build, name: str, kind: str, coordinate: str) -> bool:
@@ -222,9 +214,9 @@ def _has_joint(build: Build, name: str, kind: str, coordinate: str) -> bool:
         return True
     path, rule = f"/forceset/{name}", f"left out, no joint shows its coordinate: {coordinate}"
     if reduced(build.model, IDENTITY, coordinate)[1] is None:
-        build.notes.append(Note(path, rule, "0: the coordinate is locked"))
+        build.note(path, rule, "0: the coordinate is locked")
     else:
-        build.notes.append(Loss(path, rule, code=kind))
+        build.lose(path, rule, code=kind)
     return False
 
 
@@ -257,7 +249,7 @@ def _one_sided(
 
 def _add_limit(build: Build, item: CoordinateLimitForce) -> None:
     """Add springs beyond a coordinate's limits, and the damping that is there in its whole range."""
-    low, high = sampling_range(build.model, item.coordinate)
+    low, high = build.model.coordinates[item.coordinate].sampling_range
     sides = [(item.limits[0] - low, item.stiffness[0]), (high - item.limits[1], item.stiffness[1])]
     errors, transition = [], max(item.transition, SAME)
     for name, (beyond, stiffness), ends in zip(
@@ -280,11 +272,11 @@ def _add_limit(build: Build, item: CoordinateLimitForce) -> None:
     path = f"/forceset/{item.name}"
     if errors:
         rule = "in plain MuJoCo springs linear in the way beyond the limits, or with a cubic that never falls"
-        build.notes.append(Note(path, rule, f"{max(errors):.2g} N m or N in the coordinate's range"))
+        build.note(path, rule, f"{max(errors):.2g} N m or N in the coordinate's range")
     left = float(np.ptp(share)) * item.damping
     if left > 0:
         rule = "in plain MuJoCo its damping beyond the limits is left out"
-        build.notes.append(Note(path, rule, f"{left:.2g} N m s or N s/m at most"))
+        build.note(path, rule, f"{left:.2g} N m s or N s/m at most")
 
 
 def onset(x: np.ndarray) -> np.ndarray:
@@ -316,7 +308,7 @@ def _add_bushing(build: Build, bushing: Bushing) -> None:
     """Add springs on the joints of the OpenSim joint at which a bushing sits, else what a tendon can do."""
     path, spanned = f"/forceset/{bushing.name}", _spanned(build, bushing)
     if bushing.formulas:
-        build.notes.append(Loss(path, ONLY_HERE, code=bushing.type))
+        build.lose(path, ONLY_HERE, code=bushing.type)
         return
     if spanned is None:
         _add_bushing_between(build, bushing, path)
@@ -343,7 +335,7 @@ def _add_bushing(build: Build, bushing: Bushing) -> None:
         _spring(build, name, -sign * offset, float(stiffness), float(damping))
     rule = "springs and dampers on the joints between its frames"
     where = "" if exact else "in plain MuJoCo "
-    build.notes.append(Note(path, where + rule, "0" if exact else "exact for small angles"))
+    build.note(path, where + rule, "0" if exact else "exact for small angles")
 
 
 def _spanned(build: Build, bushing: Bushing) -> tuple[Joint, bool] | None:
@@ -387,7 +379,7 @@ def _add_bushing_between(build: Build, bushing: Bushing, path: str) -> None:
             tendon.wrap_site(site)
         tendon.stiffness[0], tendon.springlength = stiffness[0], (0.0, 0.0)
         build.springs.append(tendon.name)
-        build.notes.append(Note(path, "in plain MuJoCo a spring from point to point"))
+        build.note(path, "in plain MuJoCo a spring from point to point")
     lost = {
         "translational stiffness": not alike,
         "rotational stiffness": bushing.rotational_stiffness.any(),
@@ -396,7 +388,7 @@ def _add_bushing_between(build: Build, bushing: Bushing, path: str) -> None:
     if any(lost.values()):
         said = ", ".join(what for what, gone in lost.items() if gone)
         rule = f"its frames are not those of a joint; left out of plain MuJoCo: {said}"
-        build.notes.append(Loss(path, rule, code=bushing.type))
+        build.lose(path, rule, code=bushing.type)
 
 
 def _add_constraints(build: Build, instead: bool) -> None:
@@ -418,4 +410,4 @@ def _add_constraints(build: Build, instead: bool) -> None:
         if instead:
             rule = "in plain MuJoCo a soft equality closes its loop; poses that are compared leave it open"
             code = "WeldConstraint" if item.kind == "weld" else "PointConstraint"
-            build.notes.append(Loss(f"/constraintset/{item.name}", rule, code=code, effect="motion"))
+            build.lose(f"/constraintset/{item.name}", rule, code=code, effect="motion")

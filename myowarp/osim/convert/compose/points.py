@@ -17,7 +17,7 @@ from myowarp.osim.convert.compose.geometry import (
     weigh,
 )
 from myowarp.osim.document.elements import MovingPathPoint, Path, PathPoint, Point
-from myowarp.osim.document.model import Model, Note, pulling
+from myowarp.osim.document.model import Model
 
 MARKER_GROUP = 5
 MARKER_SIZE = 0.005  # m, as drawn
@@ -42,7 +42,7 @@ def add_moving_points(build: Build) -> dict[str, dict[int, str]]:
         Of each muscle or other path: number of the point, and name of the body at it.
     """
     shared: dict[Hashable, str] = {}
-    return {name: _of_path(build, name, path, shared) for name, path in pulling(build.model).items()}
+    return {name: _of_path(build, name, path, shared) for name, path in build.model.pulling.items()}
 
 
 def stilled(model: Model) -> Model:
@@ -106,11 +106,9 @@ def _add_point(build: Build, name: str, point: MovingPathPoint) -> str:
     if moves:
         weigh(build, body)
         body.gravcomp = 1.0
-        build.notes.append(
-            Note(
-                f"/forceset/{name}",
-                "a moving point became a light body on slides",
-                f"{MIN_MASS:g} kg, and {TIED_ARMATURE[SLIDE]:g} kg along each slide",
-            )
+        build.note(
+            f"/forceset/{name}",
+            "a moving point became a light body on slides",
+            f"{MIN_MASS:g} kg, and {TIED_ARMATURE[SLIDE]:g} kg along each slide",
         )
     return body.name

@@ -11,7 +11,7 @@ from myowarp.osim.convert.check.muscles import MomentArmError, Motion, MuscleErr
 from myowarp.osim.convert.tendon.fitted import Fits
 from myowarp.osim.convert.tendon.path import TendonPath, Via
 from myowarp.osim.document.elements import ConditionalPathPoint, Path
-from myowarp.osim.document.model import Model, Note, pulling
+from myowarp.osim.document.model import Model, Note
 
 BEYOND = f"beyond {ARM[0]:g} mm of moment arm or {LENGTH[0]:g} mm of length, root mean square"
 """Bounds of the gates of the worst muscle, in words."""
@@ -35,7 +35,7 @@ def approximations(
         arms: Errors of moment arms there.
         muscles: Errors of forces there.
     """
-    notes, references, paths = [], fits.references(), pulling(model)
+    notes, references, paths = [], fits.references(), model.pulling
     for name, fit in fits.paths().items():
         rule = _rule(fit.tendon, paths[name])
         if not rule:

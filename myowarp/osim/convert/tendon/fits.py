@@ -27,8 +27,8 @@ from myowarp.osim.convert.tendon.fit import Method as PathMethod
 from myowarp.osim.convert.tendon.fitted import Expected, MuscleFit, PathOnly
 from myowarp.osim.convert.tendon.force import Method as ForceMethod
 from myowarp.osim.convert.tendon.force import fit_force
-from myowarp.osim.document.kinematics import independent, random_poses, sampling_range
-from myowarp.osim.document.model import Model, pulling
+from myowarp.osim.document.kinematics import random_poses
+from myowarp.osim.document.model import Model
 
 Array = np.ndarray
 
@@ -74,7 +74,7 @@ class Samples:
 
 def sampled(model: Model) -> Samples:
     """Return the poses of a conversion."""
-    free = independent(model)
+    free = model.independent
     fit, check = (
         poses_of(model, random_poses(model, count, seed), free)
         for count, seed in ((POSES, FIT_SEED), (CHECK_POSES, CHECK_SEED))
@@ -86,7 +86,7 @@ def sampled(model: Model) -> Samples:
 def sweep(model: Model, coordinate: str) -> dict[str, Array]:
     """Return values of one coordinate over its range, and of all others at their defaults."""
     values = {name: np.full(SWEEP, other.default) for name, other in model.coordinates.items()}
-    return {**values, coordinate: np.linspace(*sampling_range(model, coordinate), SWEEP)}
+    return {**values, coordinate: np.linspace(*model.coordinates[coordinate].sampling_range, SWEEP)}
 
 
 def fit_muscle(model: Model, name: str, samples: Samples, methods: Methods = Methods()) -> MuscleFit:
@@ -112,7 +112,7 @@ def fit_muscle(model: Model, name: str, samples: Samples, methods: Methods = Met
 
 def fit_passive(model: Model, name: str, samples: Samples, methods: Methods = Methods()) -> PathOnly:
     """Fit the path of a ligament or path actuator."""
-    path = pulling(model)[name]
+    path = model.pulling[name]
     fitted = fit_path(model, name, path, samples.fit, None, methods.path)
     return PathOnly(name, fitted, own_reference(model, path, samples.check, crossed(model, path)))
 
@@ -130,7 +130,7 @@ def fit_muscles(
         workers: Processes; 1 works in this one.
     """
     shared = (model, (digest, dataclasses.astuple(methods), _code_digest()), samples, methods)
-    names = list(pulling(model))
+    names = list(model.pulling)
     if workers == 1 or len(names) < 2:
         _share(*shared)
         yield from map(_work, names)

@@ -1,18 +1,18 @@
-"""Everything of an .osim file that stands on bodies and coordinates: forces, constraints, markers, shapes."""
+"""Everything of an .osim file that stands on bodies and coordinates: forces, constraints, markers."""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, Literal
 
-from myowarp.osim.document.elements import Shape
 from myowarp.osim.document.model import Coupler, Loss, Note
 from myowarp.osim.document.read import forces as read_forces
 from myowarp.osim.document.read import muscles as read_muscles
 from myowarp.osim.document.read.element import Element
-from myowarp.osim.document.read.frames import FRAMES, Frames
+from myowarp.osim.document.read.frames import FRAMES
 from myowarp.osim.document.read.joints import JOINTS
 from myowarp.osim.document.read.muscle_defaults import DEFAULTS
 from myowarp.osim.document.read.paths import Scope
+from myowarp.osim.document.read.shapes import SHAPES
 
 READERS: dict[str, tuple[str, Callable[[Element, Scope], Any]]] = {
     **{tag: ("muscles", read_muscles.read_muscle) for tag in DEFAULTS},
@@ -79,7 +79,7 @@ def read_components(components: list[tuple[str, Element]], scope: Scope) -> dict
     """Return the fields of `Model` that `READERS` fills; what nobody reads gets a note."""
     found: dict[str, dict[str, Any]] = {field: {} for field in FIELDS}
     for path, element in components:
-        if element.tag in (*INERT, *JOINTS, *read_forces.SHAPES):
+        if element.tag in (*INERT, *JOINTS, *SHAPES):
             continue
         if element.tag not in DEFAULTS and not read_muscles.is_on(element):
             scope.notes.append(Note(path, "switched off in the file; left out", "0"))
@@ -126,24 +126,3 @@ def _refuse_cycles(couplers: Mapping[str, Coupler], components: list[tuple[str, 
                 "depend on itself" if name in seen else f"depend on another through over {MAX_CHAIN} couplers"
             )
             raise element.error(f"makes coordinate {name!r} {reason}")
-
-
-def read_shapes(model: Element, frames: Frames, notes: list[Note]) -> tuple[Shape, ...]:
-    """Return what there is to look at and to collide with."""
-    shapes = []
-    for element in model.walk():
-        if element.tag not in read_forces.SHAPES:
-            continue
-        shape = read_forces.read_shape(element, frames)
-        if shape.kind == "mesh" and not shape.file:
-            notes.append(Note(f"/{element.tag}/{element.name}", "a mesh without a file; left out", "0"))
-            continue
-        shapes.append(shape)
-        if shape.contact:
-            notes.append(
-                Note(
-                    f"/contactgeometryset/{element.name}",
-                    "a geom with MuJoCo's own contact model and parameters",
-                )
-            )
-    return tuple(shapes)

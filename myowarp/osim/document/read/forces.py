@@ -19,15 +19,13 @@ from myowarp.osim.document.elements import (
     Path,
     PathActuator,
     PathPoint,
-    Pose,
     PrescribedForce,
-    Shape,
 )
 from myowarp.osim.document.functions import Constant, Function, Linear, Multiplier
 from myowarp.osim.document.model import GROUND, Constraint, Coupler, Marker
 from myowarp.osim.document.read.element import Element
 from myowarp.osim.document.read.expressions import expression_in, expression_of
-from myowarp.osim.document.read.frames import Frames, euler_xyz, pose_of, socket
+from myowarp.osim.document.read.frames import Frames, pose_of, socket
 from myowarp.osim.document.read.functions import function_in, read_function
 from myowarp.osim.document.read.muscles import control_range
 from myowarp.osim.document.read.paths import Scope
@@ -306,63 +304,3 @@ def read_marker(element: Element, scope: Scope) -> Marker:
     """Return a marker."""
     body, frame = scope.frames.attached(element, "parent_frame", "body")
     return Marker(element.name, body, frame.point(element.numbers("location", default=ZERO, count=3)))
-
-
-SHAPES: dict[str, Any] = {
-    "Mesh": ("mesh", "scale_factors", 3),
-    "DisplayGeometry": ("mesh", "scale_factors", 3),
-    "Sphere": ("sphere", "radius", 1),
-    "Cylinder": ("cylinder", "radius half_height", 2),
-    "Ellipsoid": ("ellipsoid", "radii", 3),
-    "Brick": ("box", "half_lengths", 3),
-    "ContactSphere": ("sphere", "radius", 1),
-    "ContactHalfSpace": ("plane", "", 0),
-    "ContactMesh": ("mesh", "", 0),
-    "ContactEllipsoid": ("ellipsoid", "radii", 3),
-}
-"""OpenSim's class: kind, the properties that are its size, and how many numbers these have."""
-
-
-def _scale_around(element: Element) -> np.ndarray:
-    """Return the factors that a `VisibleObject`, before 4.0, has on all in it, shape (3,)."""
-    around: Element | None = element
-    while around is not None and around.tag not in ("VisibleObject", "Body", "Ground"):
-        around = around.parent
-    if around is None or around.tag != "VisibleObject":
-        return np.ones(3)
-    return around.numbers("scale_factors", default=(1.0,) * 3, count=3)
-
-
-def read_shape(element: Element, frames: Frames) -> Shape:
-    """Return something to look at or to collide with.
-
-    Raises:
-        ValueError: Its size is not above 0, or a mesh names no file.
-    """
-    kind, properties, count = SHAPES[element.tag]
-    contact = element.tag.startswith("Contact")
-    if contact:
-        body, base = frames.attached(element, "frame", "body_name")
-        frame = base @ pose_of(element, ("location",), ("orientation",))
-    else:
-        body, base = frames.of_owner(element)
-        transform = element.numbers("transform", default=(0.0,) * 6, count=6)
-        frame = base @ Pose(transform[3:], euler_xyz(transform[:3]))
-    size = np.array(
-        [value for name in properties.split() for value in element.numbers(name, default=(1.0,) * count)]
-    )
-    size = size[:count] if count else np.ones(3)
-    scale = element.numbers("scale_factors", default=(1.0,) * 3, count=3)
-    if kind == "mesh":
-        size = size * _scale_around(element)
-    if kind != "mesh" and count:
-        size = size * (scale if count == 3 else scale[0])
-    if len(size) < count or (kind != "mesh" and (size <= 0).any()):
-        raise element.error(f"must have {properties} above 0")
-    file = element.string("mesh_file", "geometry_file", "filename") if kind == "mesh" else None
-    look = element.find("Appearance")
-    color = (element if look is None else look).numbers("color", default=(1.0, 1.0, 1.0))
-    opacity = (element if look is None else look).number("opacity", default=1.0)
-    red, green, blue = np.clip(color[:3] if len(color) >= 3 else (1, 1, 1), 0, 1)
-    rgba = (float(red), float(green), float(blue), min(max(opacity, 0.0), 1.0))
-    return Shape(element.name, kind, body, frame, size, file, rgba, contact)

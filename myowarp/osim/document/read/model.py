@@ -5,6 +5,7 @@ counterpart here is skipped with a `Note`. Documents before 4.0 keep joints insi
 and know no offset frames; both forms end in the same `Model`.
 """
 
+import copy
 from collections.abc import Container, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -14,12 +15,14 @@ import numpy as np
 
 from myowarp.osim.document.elements import Pose
 from myowarp.osim.document.model import GROUND, Body, Constraint, Coordinate, Joint, Loss, Model, Note
-from myowarp.osim.document.read.components import READERS, read_components, read_shapes
+from myowarp.osim.document.read.components import READERS, read_components
 from myowarp.osim.document.read.element import Element, parse
-from myowarp.osim.document.read.frames import Frames
+from myowarp.osim.document.read.frames import Frames, socket
 from myowarp.osim.document.read.joints import JOINTS, in_order, read_coordinate, read_joint
 from myowarp.osim.document.read.muscle_defaults import DEFAULTS
+from myowarp.osim.document.read.paths import FUNCTIONS as FUNCTION_PATH
 from myowarp.osim.document.read.paths import Scope, read_wraps
+from myowarp.osim.document.read.shapes import read_shapes
 
 VERSIONS = (10901, 40699)
 """First and last version of a document that is read: the first that OpenSim 4.6 reads; later ones of 4.6 add
@@ -60,6 +63,15 @@ STATED = 30513
 
 MAX_BODIES = 400  # published models have up to about 100; a chain of bodies is walked recursively
 
+OWN_FRAMES = 40000
+"""First version of a document whose markers are in frames."""
+
+PULLING = {tag for tag, (field, _) in READERS.items() if field in ("muscles", "ligaments", "path_actuators")}
+"""Classes with a path."""
+
+PATH_PARTS = ("GeometryPath", FUNCTION_PATH, "PathPointSet", "PathWrapSet", "MusclePointSet", "MuscleWrapSet")
+"""Parts of a path in documents of any version."""
+
 SETS = (
     ("BodySet", "bodyset"),
     ("JointSet", "jointset"),
@@ -75,17 +87,29 @@ SETS = (
 """Lists of components in a `<Model>`, and the first part of their members' paths."""
 
 
-def read_model(path: Path) -> Model:
-    """Read an .osim file.
+def read_model(path: Path, markers: Path | None = None, function_paths: Path | None = None) -> Model:
+    """Read an .osim file, with parts of other files in place of its own.
+
+    Args:
+        path: The file.
+        markers: An OpenSim `MarkerSet`, in place of the model's markers of the same names.
+        function_paths: A set of `FunctionBasedPath`, in place of the paths of the muscles that it names.
 
     Raises:
-        ValueError: The file is no OpenSim model or says something impossible, with file and line.
+        ValueError: The file is no OpenSim model or says something impossible, with file and line; or another
+            file is not what it should be, or names what the model does not have.
         NotImplementedError: It needs something that has no counterpart here, such as an unknown joint class.
-        OSError: The file cannot be read.
+        OSError: A file cannot be read.
     """
     root, latin = parse(path)
-    notes = [Note("/", "the file is not UTF-8 as it says; read as Latin-1")] if latin else []
-    return model_of(path, checked(root), root, notes)
+    if markers is None and function_paths is None:
+        notes = [Note("/", "the file is not UTF-8 as it says; read as Latin-1")] if latin else []
+        return model_of(path, checked(root), root, notes)
+    document = Document(path, root)
+    for file, put in ((markers, set_markers), (function_paths, set_function_paths)):
+        if file is not None:
+            document = put(document, parse(file)[0])
+    return document.model
 
 
 def frames_of(model: Element) -> Frames:
@@ -278,13 +302,17 @@ def _body(element: Element) -> Body:
     mass = element.number("mass")
     if mass < 0:
         raise element.error(f"must have a mass of at least 0, got {mass:g}")
+    centre = element.numbers("mass_center", default=(0.0, 0.0, 0.0), count=3)
+    return Body(element.name, mass, centre, inertia_of(element))
+
+
+def inertia_of(element: Element) -> np.ndarray:
+    """Return xx yy zz xy xz yz of a body [kg m^2], shape (6,)."""
     if element.find("inertia") is not None:
-        inertia = element.numbers("inertia", count=6)
-    else:
-        inertia = np.array(
-            [element.number(f"inertia_{ij}", default=0.0) for ij in ["xx", "yy", "zz", "xy", "xz", "yz"]]
-        )
-    return Body(element.name, mass, element.numbers("mass_center", default=(0.0, 0.0, 0.0), count=3), inertia)
+        return element.numbers("inertia", count=6)
+    return np.array(
+        [element.number(f"inertia_{ij}", default=0.0) for ij in ("xx", "yy", "zz", "xy", "xz", "yz")]
+    )
 
 
 def _joints(
@@ -325,6 +353,87 @@ def _joints(
         coordinates[name], more = read_coordinate(item, name, by_name[owner])
         notes += more
     return by_name, coordinates, copies
+
+
+class Document:
+    """An .osim file, and what it says.
+
+    Attributes:
+        root: As in the file; what is changed is changed here.
+        pairs: Each element, and the same with the tags of today and the defaults of its class.
+        frames: Of the model.
+        model: What is read from it.
+        version: Of the document.
+    """
+
+    def __init__(self, source: Path, root: Element) -> None:
+        """Read a document.
+
+        Raises:
+            ValueError: It is no model, or says something impossible.
+            NotImplementedError: It needs something that is not supported.
+        """
+        self.root, today = root, copy.deepcopy(root)
+        both = list(zip(root.walk(), today.walk(), strict=True))
+        self.version = checked(today)
+        kept = {id(element) for element in today.walk()}
+        self.pairs = [(own, element) for own, element in both if id(element) in kept]
+        self.frames: Frames = frames_of(today.need("Model"))
+        self.model: Model = model_of(source, self.version, today, [])
+
+
+def set_function_paths(document: Document, paths: Element) -> Document:
+    """Put the lengths of a set of `FunctionBasedPath` in place of the paths of the forces that they name.
+
+    The set is what Moco's `ModOpReplacePathsWithFunctionBasedPaths` reads; return what the model is now.
+
+    Raises:
+        ValueError: The set has none, or one names a force that the model does not have, or that has no path.
+    """
+    owners = {own.name: own for own, element in document.pairs if element.tag in PULLING}
+    found = [element for element in paths.walk() if element.tag == FUNCTION_PATH]
+    if not found:
+        raise paths.error(f"has no <{FUNCTION_PATH}>; give a set of them, such as Moco's")
+    for path in found:
+        name = path.name.rpartition("/")[2]
+        if name not in owners:
+            raise path.error("names a force that the model does not have, or that has no path")
+        owner, held = owners[name], owners[name].own("path")
+        places = [owner] if held is None else [owner, held]
+        for place in places:
+            place.children = [child for child in place.children if child.tag not in PATH_PARTS]
+        inner = Element(path.source, FUNCTION_PATH, {"name": "path"}, path.line, parent=places[-1])
+        inner.children = path.children
+        places[-1].children.insert(0, inner)
+    return Document(document.model.source, document.root)
+
+
+def set_markers(document: Document, markers: Element) -> Document:
+    """Put the markers of a set into a model, in place of those of the same names; return what it is now.
+
+    Raises:
+        ValueError: A marker is on no body.
+    """
+    model = document.root.need("Model")
+    own = model.own("MarkerSet")
+    if own is None:
+        own = Element(model.source, "MarkerSet", {}, model.line, parent=model)
+        model.children.append(own)
+    inner = own.own("objects") or own.put("objects", "")
+    for marker in [element for element in markers.walk() if element.tag == "Marker"]:
+        body = socket(marker, "parent_frame", "body").rsplit("/", 1)[-1]
+        if body not in {*document.model.bodies, GROUND}:
+            raise marker.error(f"is on the body {body!r}, which the model does not have")
+        inner.children = [child for child in inner.children if child.name != marker.name]
+        new = Element(marker.source, "Marker", {"name": marker.name}, marker.line, parent=inner)
+        if document.version < OWN_FRAMES:
+            new.put("body", body)
+        else:
+            new.put("socket_parent_frame", f"/{GROUND}" if body == GROUND else f"/bodyset/{body}")
+        new.put_numbers("location", marker.numbers("location", count=3))
+        new.put("fixed", "true" if marker.flag("fixed", default=False) else "false")
+        inner.children.append(new)
+    return Document(document.model.source, document.root)
 
 
 def read_groups(path: Path) -> dict[str, tuple[str, ...]]:

@@ -6,9 +6,9 @@ Optional properties (`curviness` of a Millard curve) have no default: their clas
 
 import math
 
+from myowarp.laws.muscles import millard2012
+from myowarp.laws.muscles.hill_parameters import MAX_PENNATION
 from myowarp.osim.document.functions import SimmSpline
-
-MAX_PENNATION = math.acos(0.1)  # rad
 
 FORCE_LENGTH = SimmSpline(
     (-5.0, 0.998, 0.999, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.601, 1.602, 5.0),
@@ -17,23 +17,9 @@ FORCE_LENGTH = SimmSpline(
 """Of a ligament, over length / resting length; of fibers of spline muscles, over fiber length."""
 
 MILLARD_CURVES = {
-    "ActiveForceLengthCurve.min_norm_active_fiber_length": 0.4441,
-    "ActiveForceLengthCurve.transition_norm_fiber_length": 0.73,
-    "ActiveForceLengthCurve.max_norm_active_fiber_length": 1.8123,
-    "ActiveForceLengthCurve.shallow_ascending_slope": 0.8616,
-    "ActiveForceLengthCurve.minimum_value": 0.1,
-    "ForceVelocityCurve.concentric_slope_at_vmax": 0.0,
-    "ForceVelocityCurve.concentric_slope_near_vmax": 0.25,
-    "ForceVelocityCurve.isometric_slope": 5.0,
-    "ForceVelocityCurve.eccentric_slope_at_vmax": 0.0,
-    "ForceVelocityCurve.eccentric_slope_near_vmax": 0.15,
-    "ForceVelocityCurve.max_eccentric_velocity_force_multiplier": 1.4,
-    "ForceVelocityCurve.concentric_curviness": 0.6,
-    "ForceVelocityCurve.eccentric_curviness": 0.9,
-    "FiberForceLengthCurve.strain_at_zero_force": 0.0,
-    "FiberForceLengthCurve.strain_at_one_norm_force": 0.7,
-    "TendonForceLengthCurve.strain_at_one_norm_force": 0.049,
+    name: default for name, (_, default, *_) in millard2012.PARAMETERS.items() if not math.isnan(default)
 }
+"""Parameters of the curves for which the law has a default; OpenSim computes the others itself."""
 
 DEFAULTS: dict[str, dict[str, float]] = {
     "Thelen2003Muscle": {
