@@ -122,7 +122,8 @@ def change_of(case: Case, *, there: bool = False) -> Condition:
     if change == TRANSFER:
         return TendonTransfer(come(0.0, 1.0))
     if change == CROSSING:
-        return NerveCrossing(come(0.0, 1.0))
+        # From 0.5 on they are crossed: where half of the elbows stay healthy, healthy ones go on to count.
+        return NerveCrossing(come(0.0, Uniform(0.0, 1.0) if task == ELBOW else 1.0))
     joint, share = DEVICES[task]
     return JointDevice(joint, stiffness=0.0, assistance=come(0.0, share), delay=0.1)
 
