@@ -9,7 +9,7 @@ import shutil
 import time
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,13 +22,14 @@ from myowarp.apps.policies.checkpoint import (
     POLICY,
     CheckpointError,
     eval_command,
+    held,
     last_saved,
     versions,
 )
 from myowarp.apps.reports.curve import draw_curve
 from myowarp.apps.reports.evaluation import SUCCESSES
 from myowarp.apps.reports.machine import Stopwatch, processor
-from myowarp.apps.train.plan import Job, held
+from myowarp.apps.train.plan import Job
 from myowarp.apps.train.selection import Selection
 from myowarp.definitions.condition import Condition
 from myowarp.definitions.task import TaskSpec
@@ -37,8 +38,8 @@ from myowarp.process import stop_asked
 from myowarp.tasks.setups import variant_of
 
 if TYPE_CHECKING:
+    from myowarp.apps.reports.progress import Progress
     from myowarp.apps.train.loop import Run
-    from myowarp.apps.train.progress import Progress
     from myowarp.bridge_gym import MyoWarpVectorEnv
 
 REPORT = "report.json"
@@ -67,7 +68,7 @@ def train(job: Job, console: Console | None = None) -> dict[str, Any]:
     console = console or Console(stderr=True, highlight=False, soft_wrap=True)
     if not job.ranks.leads:
         console.quiet = True
-    with held(job):
+    with held(job.folder, job.checkpoint, job.resume_command) if job.ranks.leads else nullcontext():
         with job.ranks.together(job.ranks.device(job.setup.device)):
             run, selection = start(job), Selection(job)
             report = _report(job, run, selection, _iterate(job, run, selection, console))
@@ -187,17 +188,16 @@ def _iterate(job: Job, run: Run, selection: Selection, console: Console) -> str:
                 progress.add(run.row() | selection.figures())
 
 
-@contextmanager
-def _progress(job: Job, run: Run, selection: Selection, console: Console) -> Iterator[Progress | None]:
-    """Open the files and the live line of a run, on the rank that logs."""
-    from myowarp.apps.train.progress import Progress
+def _progress(
+    job: Job, run: Run, selection: Selection, console: Console
+) -> AbstractContextManager[Progress | None]:
+    """Return the files and the live line of a run; only the rank that logs has them."""
+    from myowarp.apps.reports.progress import Progress
 
     if not job.ranks.leads:
-        yield None
-        return
+        return nullcontext()
     told = manifest_of(job, run, selection)["settings"] if job.wandb else None
-    with Progress(job.folder, run.settings.samples, console, after=run.samples, wandb=told) as progress:
-        yield progress
+    return Progress(job.folder, run.settings.samples, console, after=run.samples, wandb=told)
 
 
 def _end(run: Run, selection: Selection) -> str:

@@ -171,7 +171,7 @@ class Worlds:
 
     def arrays(self) -> Arrays:
         """Return what belongs to no world: episodes that ended, and states to start from."""
-        return self.tally.arrays() | (self.backplay.arrays() if self.backplay else {})
+        return taken(self.tally.ended) | (self.backplay.arrays() if self.backplay else {})
 
     def restore(self, arrays: Mapping[str, np.ndarray], steps: int, clock: Mapping[str, float]) -> None:
         """Put the worlds back, with what `rows` and `arrays` returned.
@@ -182,7 +182,7 @@ class Worlds:
         """
         self.env.set_state(State(self.env.sim.scene.spec.key, below(arrays, "world.")))
         put(self._own(), arrays)
-        self.tally.restore(arrays)
+        self.tally.ended = taken({name: arrays[name] for name in self.tally.ended})
         if self.backplay:
             self.backplay.restore(arrays)
         self.steps, self.clock = steps, Clock(**{name: clock[name] for name in vars(Clock())})
