@@ -21,7 +21,7 @@ import shlex
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Any
@@ -31,6 +31,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from myowarp.apps.policies.form import check_manifest, check_policy
+from myowarp.definitions.condition import Condition
 from myowarp.definitions.muscle import muscle_names
 from myowarp.definitions.option import flag
 from myowarp.definitions.senses import PARAMETERS, SENSES, Told
@@ -41,6 +42,7 @@ from myowarp.kernels.action import CENTER, STEEPNESS
 from myowarp.process import warn_once
 from myowarp.sim.build import oracle_model
 from myowarp.sim.simulation import Simulation
+from myowarp.tasks.setups import variant_of
 
 FORMAT = 1
 MANIFEST, POLICY, STATE = "manifest.json", "policy.safetensors", "state.safetensors"
@@ -106,6 +108,25 @@ def trained_setup(manifest: Mapping[str, Any]) -> Setup:
     """Return what a checkpoint's policy was trained in, as its user said it."""
     task = Path(manifest["task"]) if manifest["model"] else manifest["task"]
     return Setup(task=task).over(Setup.from_plain(manifest["settings"]))
+
+
+def setup_entries(asked: Setup, setup: Setup) -> dict[str, Any]:
+    """Return what a checkpoint says of its environment besides its settings; `trained_setup` reads it.
+
+    Args:
+        asked: What the user said.
+        setup: What that stands for.
+    """
+    # A model's file was read at the start, and may be gone by now.
+    task, from_file = asked.task, isinstance(asked.task, Path)
+    variant = variant_of(replace(asked, task=setup.spec.key if from_file else task))
+    objects = [condition.name for condition in asked.conditions or () if isinstance(condition, Condition)]
+    return {
+        "task": task.key if isinstance(task, TaskSpec) else str(task),  # what it changes is in the contract
+        "model": from_file,
+        "reset": variant.reset,
+        "conditions": [*variant.conditions, *objects],
+    }
 
 
 def task_contract(sim: Simulation) -> dict[str, Any]:

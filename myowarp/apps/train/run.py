@@ -10,7 +10,6 @@ import time
 import warnings
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -24,6 +23,7 @@ from myowarp.apps.policies.checkpoint import (
     eval_command,
     held,
     last_saved,
+    setup_entries,
     versions,
 )
 from myowarp.apps.reports.curve import draw_curve
@@ -31,11 +31,8 @@ from myowarp.apps.reports.evaluation import SUCCESSES
 from myowarp.apps.reports.machine import Stopwatch, processor
 from myowarp.apps.train.plan import Job
 from myowarp.apps.train.selection import Selection
-from myowarp.definitions.condition import Condition
-from myowarp.definitions.task import TaskSpec
 from myowarp.disk import existing, in_place, plain
 from myowarp.process import stop_asked
-from myowarp.tasks.setups import variant_of
 
 if TYPE_CHECKING:
     from myowarp.apps.reports.progress import Progress
@@ -254,20 +251,12 @@ def _select(job: Job, run: Run, selection: Selection, console: Console) -> None:
 
 def manifest_of(job: Job, run: Run, selection: Selection) -> dict[str, Any]:
     """Return what a checkpoint is."""
-    # A model's file was read at the start, and may be gone by now.
-    task, from_file = job.asked.task, isinstance(job.asked.task, Path)
-    registered = dataclasses.replace(job.asked, task=job.setup.spec.key if from_file else task)
-    variant, asked = variant_of(registered), job.asked.conditions or ()
-    objects = [condition.name for condition in asked if isinstance(condition, Condition)]
     origin = job.checkpoint.manifest.get("parent") if job.checkpoint else None
     if job.parent is not None:
         theirs = job.parent.manifest
         origin = {"task": job.parent.task, "samples": theirs["samples"], **theirs["files"][POLICY]}
     manifest = {
-        "task": task.key if isinstance(task, TaskSpec) else str(task),  # what it changes is in the contract
-        "model": from_file,
-        "reset": variant.reset,
-        "conditions": [*variant.conditions, *objects],
+        **setup_entries(job.asked, job.setup),
         "algorithm": job.settings.algorithm,
         "learner": LEARNER,
         "contract": checkpoint.task_contract(run.env.sim),

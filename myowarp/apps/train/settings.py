@@ -12,7 +12,7 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar
 
 from myowarp.apps.policies.form import ACTIVATIONS, MEAN_BOUNDS
 from myowarp.apps.reports.evaluation import SUCCESSES
@@ -204,7 +204,6 @@ KINDS: tuple[type[Settings], ...]
 KINDS = PPOSettings, TRPOSettings, SACSettings, DAggerSettings, ImproveSettings
 ALGORITHMS = {kind.algorithm: kind for kind in KINDS}
 RENAMED = {"flashsac": "sac"}
-RECORDED = TypeVar("RECORDED", bound=Settings)
 
 
 def all_settings() -> dict[str, dataclasses.Field[Any]]:
@@ -243,7 +242,7 @@ def choose(name: str, algorithm: str, given: Mapping[str, Any]) -> Settings:
     return restore(ALGORITHMS[algorithm], divided(preset(name, algorithm))[1] | dict(given))
 
 
-def restore(kind: type[RECORDED], values: Mapping[str, Any]) -> RECORDED:
+def restore(kind: type[Settings], values: Mapping[str, Any]) -> Settings:
     """Return settings from plain values, checked.
 
     Raises:
