@@ -663,7 +663,7 @@ WRITES = {
 }
 """Calls that write a file, by the end of their name."""
 ALLOWED_WRITERS = {
-    "apps/train/progress.py:Progress.__init__": "grows while a training runs; readers skip a cut end",
+    "apps/reports/progress.py:Progress.__init__": "grows while a training runs; readers skip a cut end",
     "apps/policies/checkpoint.py:_write": "into a folder that is moved when it is whole, and summed",
     "apps/reports/panel.py:picture": "into memory",
     "apps/rollouts/recording_formats.py:open_parquet": "the scratch files of `_open_tables`",

@@ -45,9 +45,14 @@ def option(
     return field(default=default, metadata=told | {"check": check, "flag": flag, "free": free})
 
 
+def options_of(kind: Any) -> dict[str, Field[Any]]:
+    """Return the options of a class by name."""
+    return {entry.name: entry for entry in fields(kind)}
+
+
 def other(of: Any, name: str, default: Any, text: str = "") -> Any:
     """Return an option of another class with another default, and a text where it means something else."""
-    told = {entry.name: entry for entry in fields(of)}[name].metadata
+    told = options_of(of)[name].metadata
     return field(default=default, metadata={**told, "text": text or told["text"]})
 
 
@@ -95,3 +100,8 @@ def _check_range(name: str, value: float, least: float | None, most: float | Non
 def flag(name: str) -> str:
     """Return an option's name on the command line."""
     return "--" + name.replace("_", "-")
+
+
+def shown(value: Any) -> str:
+    """Return an option's value for people."""
+    return " ".join(map(str, value)) or "none" if isinstance(value, tuple | list) else str(value) or "empty"

@@ -17,7 +17,7 @@ from myowarp.definitions.body import BODIES
 from myowarp.definitions.condition import Condition, condition_from
 from myowarp.definitions.muscle import MUSCLES
 from myowarp.definitions.muscle_table import MuscleTable
-from myowarp.definitions.option import checked, option
+from myowarp.definitions.option import checked, option, options_of
 from myowarp.definitions.registry import check_least
 from myowarp.definitions.senses import check_senses
 from myowarp.definitions.task import PHYSICS, RESETS, TASKS, TaskSpec
@@ -210,7 +210,7 @@ DEFAULTS = Setup(
     physics="parity", muscle="mujoco", reset="task", conditions=(), observe=(), rank=(0, 1), seed=0
 )
 
-OPTIONS = {entry.name: entry for entry in dataclasses.fields(Setup)}
+OPTIONS = options_of(Setup)
 Setup.__doc__ = (
     f"{Setup.__doc__}".rstrip()
     + "\n\n    Attributes:"

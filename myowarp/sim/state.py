@@ -138,6 +138,12 @@ class State:
             ) from error
 
 
+def without_keys(state: State) -> State:
+    """Return a state without random numbers to come, of which the worlds that take it keep their own."""
+    arrays = {name: array for name, array in state.arrays.items() if not name.startswith(KEYS)}
+    return State(state.task, arrays)
+
+
 def rows_of(worlds: Worlds, num_worlds: int, *, repeated: bool = False) -> np.ndarray:
     """Return the numbers of worlds, shape (number,).
 

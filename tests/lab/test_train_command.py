@@ -20,10 +20,10 @@ from myowarp.apps.cli import train as command
 from myowarp.apps.cli.options import Said
 from myowarp.apps.cli.rollout import Rollout
 from myowarp.apps.policies import checkpoint as checkpoints
-from myowarp.apps.policies.checkpoint import eval_command, resume_command
+from myowarp.apps.policies.checkpoint import eval_command, held, resume_command
 from myowarp.apps.reports.evaluation import evaluate
 from myowarp.apps.reports.intervals import wilson
-from myowarp.apps.train.plan import held, plan
+from myowarp.apps.train.plan import plan
 from myowarp.apps.train.run import start, train
 from myowarp.apps.train.settings import ALGORITHMS, choose, preset_algorithm
 from myowarp.bridge_gym import MyoWarpVectorEnv
@@ -309,10 +309,10 @@ def test_a_run_that_went_on_meanwhile_is_left_alone(tiny):
     for other in (None, older):
         with (
             pytest.raises(ValueError, match="has a new checkpoint, which another process wrote just now"),
-            held(dataclasses.replace(job, checkpoint=other)),
+            held(tiny, other, job.resume_command),
         ):
             pass
-    with held(job):
+    with held(tiny, job.checkpoint, job.resume_command):
         pass
 
 

@@ -15,7 +15,7 @@ from tiny_runs import ELBOW, TINY, said
 
 from myowarp.apps.policies import checkpoint as checkpoints
 from myowarp.apps.policies.learned import LearnedPolicy, read_policy
-from myowarp.apps.train.progress import Progress
+from myowarp.apps.reports.progress import Progress
 from myowarp.definitions.task import TASKS
 
 
@@ -255,7 +255,7 @@ def test_a_manifest_without_an_entry_is_refused(copy):
 def test_the_live_line_has_the_parts_that_fit(width, last, tmp_path, monkeypatch):
     """Whole parts, the most important first; a log, which has no width, has them all."""
     now = iter((0.0, *[80.0] * 9))
-    monkeypatch.setattr("myowarp.apps.train.progress.time.monotonic", lambda: next(now))
+    monkeypatch.setattr("myowarp.apps.reports.progress.time.monotonic", lambda: next(now))
     shown = io.StringIO()
     console = Console(file=shown, force_terminal=width is not None, width=width, soft_wrap=True)
     row = {"samples": 1e6, "return": 1234.5, "success": 0.95, "success_last": 0.9, "success_any": 0.99}

@@ -12,9 +12,10 @@ from typing import Annotated, Any
 from myowarp.apps.cli.options import Environment, Said, flag_of, optional
 from myowarp.apps.cli.rollout import Rollout
 from myowarp.apps.reports.evaluation import EVALUATION_SEED
-from myowarp.apps.train.plan import SAVE_SECONDS, Job, plan, shown
+from myowarp.apps.train.plan import SAVE_SECONDS, Job, plan
 from myowarp.apps.train.run import train
-from myowarp.apps.train.settings import ALGORITHMS, all_settings, settings_of
+from myowarp.apps.train.settings import ALGORITHMS, all_settings
+from myowarp.definitions.option import options_of, shown
 from myowarp.disk import check_output
 
 
@@ -70,10 +71,10 @@ def setting_fields(algorithms: Collection[str], leave_out: Iterable[str] = ()) -
     """Return the settings of algorithms as fields of a command, each None where it is not given."""
     fields: list[tuple[str, Any, Any]] = []
     for name, entry in all_settings().items():
-        owners = [algorithm for algorithm in algorithms if name in settings_of(ALGORITHMS[algorithm])]
+        owners = [algorithm for algorithm in algorithms if name in options_of(ALGORITHMS[algorithm])]
         if owners and name not in leave_out:
             own = ALGORITHMS[owners[0]]
-            default = settings_of(own)[name].default if len(algorithms) == 1 else entry.default
+            default = options_of(own)[name].default if len(algorithms) == 1 else entry.default
             hint = f"(preset, else {shown(default)})"
             only = "" if len(owners) == len(algorithms) else f" ({', '.join(owners)})"
             fields.append(flag_of(entry, typing.get_type_hints(own)[name], hint, only))

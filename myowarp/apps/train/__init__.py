@@ -10,5 +10,4 @@
 | `networks.py`, `replay.py`, `arrays.py` | policies, critics, noise; a memory of samples; numbers by name |
 | `loop.py`, `run.py` | a run between two iterations; from its first step to its report |
 | `selection.py` | evaluations on the way, of which the best policy is kept |
-| `progress.py` | the live line, CSV, TensorBoard |
 """

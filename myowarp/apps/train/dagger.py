@@ -11,21 +11,17 @@ Noise while samples are taken: Laskey et al. (2017), *DART*, arXiv:1703.09327; h
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import torch
 from torch import nn
 
+from myowarp.apps.policies.learned import Act
 from myowarp.apps.rollouts.ranks import Ranks
 from myowarp.apps.train.learner import Learner
 from myowarp.apps.train.networks import GaussianPolicy
 from myowarp.apps.train.replay import Replay
 from myowarp.apps.train.settings import DAggerSettings, ImproveSettings
 from myowarp.apps.train.worlds import Worlds
-
-Expert = Callable[[np.ndarray], np.ndarray]
-"""Observations (num_worlds, obs_size), on the host, to actions (num_worlds, num_actions) in [-1, 1]."""
 
 NOISE_LEVELS = 3  # of worlds in turn: none, half of the noise, all of it
 
@@ -41,7 +37,7 @@ class Imitation(Learner):
     settings: DAggerSettings | ImproveSettings
     policy: GaussianPolicy
     replay: Replay
-    expert: Expert | None = None
+    expert: Act | None = None
 
     def __init__(self, settings: DAggerSettings | ImproveSettings, worlds: Worlds, ranks: Ranks) -> None:
         super().__init__(settings, worlds, ranks)

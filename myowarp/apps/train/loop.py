@@ -29,8 +29,7 @@ from myowarp.apps.train.worlds import Worlds
 from myowarp.bridge_gym import MyoWarpVectorEnv
 from myowarp.sim.state import State
 
-LEARNERS: dict[str, type[Learner]] = {"ppo": PPO, "trpo": TRPO, "sac": SAC}
-LEARNERS |= {"dagger": DAgger, "improve": Improve}
+LEARNERS = {"ppo": PPO, "trpo": TRPO, "sac": SAC, "dagger": DAgger, "improve": Improve}
 RANK_SEEDS = 1_000_003  # from the seed of one rank's actions to that of the next
 INHERITED_STEPS = 32
 """Control steps of every world as which all counts that a parent's normaliser has seen in another task."""

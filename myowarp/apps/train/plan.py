@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import hashlib
 import importlib.util
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from myowarp.apps.policies import checkpoint as checkpoints
 from myowarp.apps.policies.baselines import policy_folder
 from myowarp.apps.policies.checkpoint import (
     Checkpoint,
     CheckpointError,
     is_file,
     last_saved,
+    load_resumable,
+    occupied,
     resume_command,
     trained_setup,
 )
@@ -27,18 +26,17 @@ from myowarp.apps.policies.learned import read_policy
 from myowarp.apps.rollouts.ranks import ALONE, Ranks
 from myowarp.apps.train import bonus, settings
 from myowarp.apps.train.settings import ALGORITHMS, Settings, divided
-from myowarp.definitions.option import flag
+from myowarp.definitions.option import flag, options_of, shown
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.setup import OPTIONS, Setup
 from myowarp.definitions.task import TaskSpec
-from myowarp.disk import check_folder, locked, make_folder, plain
+from myowarp.disk import check_folder, files_digest, plain
 from myowarp.extras import to_install
 from myowarp.sim.patient_table import population_of
 from myowarp.sim.state import State
 from myowarp.tasks.setups import complete
 
 SAVE_SECONDS = 30.0  # from one checkpoint to the next
-LOCK = ".lock"
 NEEDS = ("torch", "safetensors", "tensorboard")
 
 
@@ -144,39 +142,6 @@ def plan(
     return _with_files(Job(asked, complete(asked), chosen, folder, parent=parent, **how))
 
 
-def occupied(folder: Path) -> bool:
-    """Whether the folder of a run, which may not exist yet, holds anything.
-
-    Raises:
-        ValueError: Another process trains in it.
-    """
-    if (folder / LOCK).exists():
-        with locked(folder / LOCK, wait=False):
-            pass
-    return folder.is_dir() and any(file.name != LOCK for file in folder.iterdir())
-
-
-@contextmanager
-def held(job: Job) -> Iterator[None]:
-    """Keep the folder of a run from all other processes during the block; of ranks the one that saves does.
-
-    Raises:
-        ValueError: Another process holds it, or has trained in it since the run was planned.
-        OSError: It cannot be written.
-    """
-    if not job.ranks.leads:
-        yield
-        return
-    make_folder(job.folder)
-    with locked(job.folder / LOCK, wait=False):
-        if last_saved(job.folder) != (job.checkpoint and job.checkpoint.folder):
-            raise ValueError(
-                f"folder {str(job.folder)!r} has a new checkpoint, which another process wrote just now; go "
-                f"on with {job.resume_command}"
-            )
-        yield
-
-
 def _with_files(job: Job) -> Job:
     """Return a run with what its patient table and its file of states hold, both checked, and the ranks."""
     chosen, setup, spec = job.settings, job.setup, job.setup.spec
@@ -201,7 +166,7 @@ def _with_files(job: Job) -> Job:
             raise ValueError(f"--start {chosen.start!r} holds episodes that have ended; save others")
     paths = {"cohort": chosen.cohort, "start": chosen.start}
     paths["muscle_parameters"] = str(job.asked.muscle_parameters or "")
-    sums = {k: hashlib.sha256(Path(path).read_bytes()).hexdigest() for k, path in paths.items() if path}
+    sums = {name: files_digest([Path(path)]) for name, path in paths.items() if path}
     return replace(job, setup=setup, start=start, files_read=sums)
 
 
@@ -274,21 +239,8 @@ def _resumed(
         given: Settings that were named.
         how: Fields of the job that belong to this process.
     """
-    checkpoint, ranks = checkpoints.load_checkpoint(folder, learning=True), how["ranks"].size
-    manifest, before = checkpoint.manifest, checkpoint.manifest.get("ranks", 1)
-    if checkpoints.STATE not in manifest["files"]:
-        raise CheckpointError(f"checkpoint {str(folder)!r} holds a policy alone and cannot be resumed")
-    if manifest.get("learner") != checkpoints.LEARNER:
-        raise CheckpointError(
-            f"run {str(folder)!r} is one of the trainer before this one, and cannot go on; its policy plays, "
-            f"and a new run can start from it with --parent {folder}"
-        )
-    if checkpoint.folder == folder and folder.absolute().parent.name == checkpoints.FOLDER:
-        raise CheckpointError(f"--resume {str(folder)!r} is a checkpoint in a run; name the run's folder")
-    if before != ranks:
-        raise ValueError(
-            f"run {str(folder)!r} goes on with the number of ranks that it began with, {before}, got {ranks}"
-        )
+    checkpoint = load_resumable(folder, ranks := how["ranks"].size)
+    manifest = checkpoint.manifest
     began, recorded = trained_setup(manifest), divided(manifest["settings"])[1]
     if is_file(began):
         if said.task is None:
@@ -303,7 +255,7 @@ def _resumed(
     known: dict[str, Any] = {"algorithm": kind.algorithm, "output": folder, "task": began.task}
     known |= recorded | began.plain()
     asked = {name: value for name, value in said.plain().items() if getattr(said, name) is not None}
-    free = [name for name, entry in settings.settings_of(kind).items() if entry.metadata["free"]]
+    free = [name for name, entry in options_of(kind).items() if entry.metadata["free"]]
     for name, value in (same | {"task": said.task} | given | asked).items():
         there, here = plain(known.get(name)), plain(value)
         if name in (*same, "task"):
@@ -322,8 +274,3 @@ def _resumed(
             file = getattr(chosen, name, "") or str(began.muscle_parameters)
             raise ValueError(f"{flag(name)} {file!r} has changed since the run began")
     return job
-
-
-def shown(value: Any) -> str:
-    """Return a setting's value for people."""
-    return " ".join(map(str, value)) or "none" if isinstance(value, tuple | list) else str(value) or "empty"

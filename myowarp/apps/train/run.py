@@ -9,8 +9,7 @@ import shutil
 import time
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -22,23 +21,22 @@ from myowarp.apps.policies.checkpoint import (
     POLICY,
     CheckpointError,
     eval_command,
+    held,
     last_saved,
+    setup_entries,
     versions,
 )
 from myowarp.apps.reports.curve import draw_curve
 from myowarp.apps.reports.evaluation import SUCCESSES
 from myowarp.apps.reports.machine import Stopwatch, processor
-from myowarp.apps.train.plan import Job, held
+from myowarp.apps.train.plan import Job
 from myowarp.apps.train.selection import Selection
-from myowarp.definitions.condition import Condition
-from myowarp.definitions.task import TaskSpec
 from myowarp.disk import existing, in_place, plain
 from myowarp.process import stop_asked
-from myowarp.tasks.setups import variant_of
 
 if TYPE_CHECKING:
+    from myowarp.apps.reports.progress import Progress
     from myowarp.apps.train.loop import Run
-    from myowarp.apps.train.progress import Progress
     from myowarp.bridge_gym import MyoWarpVectorEnv
 
 REPORT = "report.json"
@@ -67,7 +65,7 @@ def train(job: Job, console: Console | None = None) -> dict[str, Any]:
     console = console or Console(stderr=True, highlight=False, soft_wrap=True)
     if not job.ranks.leads:
         console.quiet = True
-    with held(job):
+    with held(job.folder, job.checkpoint, job.resume_command) if job.ranks.leads else nullcontext():
         with job.ranks.together(job.ranks.device(job.setup.device)):
             run, selection = start(job), Selection(job)
             report = _report(job, run, selection, _iterate(job, run, selection, console))
@@ -187,17 +185,16 @@ def _iterate(job: Job, run: Run, selection: Selection, console: Console) -> str:
                 progress.add(run.row() | selection.figures())
 
 
-@contextmanager
-def _progress(job: Job, run: Run, selection: Selection, console: Console) -> Iterator[Progress | None]:
-    """Open the files and the live line of a run, on the rank that logs."""
-    from myowarp.apps.train.progress import Progress
+def _progress(
+    job: Job, run: Run, selection: Selection, console: Console
+) -> AbstractContextManager[Progress | None]:
+    """Return the files and the live line of a run; only the rank that logs has them."""
+    from myowarp.apps.reports.progress import Progress
 
     if not job.ranks.leads:
-        yield None
-        return
+        return nullcontext()
     told = manifest_of(job, run, selection)["settings"] if job.wandb else None
-    with Progress(job.folder, run.settings.samples, console, after=run.samples, wandb=told) as progress:
-        yield progress
+    return Progress(job.folder, run.settings.samples, console, after=run.samples, wandb=told)
 
 
 def _end(run: Run, selection: Selection) -> str:
@@ -254,20 +251,12 @@ def _select(job: Job, run: Run, selection: Selection, console: Console) -> None:
 
 def manifest_of(job: Job, run: Run, selection: Selection) -> dict[str, Any]:
     """Return what a checkpoint is."""
-    # A model's file was read at the start, and may be gone by now.
-    task, from_file = job.asked.task, isinstance(job.asked.task, Path)
-    registered = dataclasses.replace(job.asked, task=job.setup.spec.key if from_file else task)
-    variant, asked = variant_of(registered), job.asked.conditions or ()
-    objects = [condition.name for condition in asked if isinstance(condition, Condition)]
     origin = job.checkpoint.manifest.get("parent") if job.checkpoint else None
     if job.parent is not None:
         theirs = job.parent.manifest
         origin = {"task": job.parent.task, "samples": theirs["samples"], **theirs["files"][POLICY]}
     manifest = {
-        "task": task.key if isinstance(task, TaskSpec) else str(task),  # what it changes is in the contract
-        "model": from_file,
-        "reset": variant.reset,
-        "conditions": [*variant.conditions, *objects],
+        **setup_entries(job.asked, job.setup),
         "algorithm": job.settings.algorithm,
         "learner": LEARNER,
         "contract": checkpoint.task_contract(run.env.sim),

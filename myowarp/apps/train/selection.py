@@ -18,9 +18,9 @@ from rich.console import Console
 from myowarp.apps.policies.checkpoint import BEST, MANIFEST, Checkpoint
 from myowarp.apps.policies.learned import Bound
 from myowarp.apps.reports.evaluation import evaluate
-from myowarp.apps.train.plan import Job, shown
+from myowarp.apps.train.plan import Job
 from myowarp.definitions.condition import Condition
-from myowarp.definitions.option import flag
+from myowarp.definitions.option import flag, options_of, shown
 from myowarp.process import warn_once
 from myowarp.sim.simulation import Simulation
 
@@ -96,8 +96,8 @@ class Selection:
             return ""
         if not before.samples - risen.samples < settings.samples / 2 <= last.samples - risen.samples:
             return ""
-        own = {entry.name: entry.default for entry in dataclasses.fields(settings)}
-        changed = {name: value for name, value in vars(settings).items() if value != own[name]}
+        own = options_of(settings)
+        changed = {name: value for name, value in vars(settings).items() if value != own[name].default}
         tried = " ".join(f"{flag(name)} {shown(value)}" for name, value in changed.items())
         return (
             f"for half of the budget nothing was better than {100.0 * risen.success:.1f} % after "

@@ -12,12 +12,12 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar
 
 from myowarp.apps.policies.form import ACTIVATIONS, MEAN_BOUNDS
 from myowarp.apps.reports.evaluation import SUCCESSES
 from myowarp.apps.train import bonus
-from myowarp.definitions.option import checked, flag, option, other
+from myowarp.definitions.option import checked, flag, option, options_of, other
 from myowarp.definitions.registry import check_choice
 from myowarp.definitions.setup import OPTIONS, Setup
 
@@ -204,17 +204,11 @@ KINDS: tuple[type[Settings], ...]
 KINDS = PPOSettings, TRPOSettings, SACSettings, DAggerSettings, ImproveSettings
 ALGORITHMS = {kind.algorithm: kind for kind in KINDS}
 RENAMED = {"flashsac": "sac"}
-RECORDED = TypeVar("RECORDED", bound=Settings)
-
-
-def settings_of(kind: type[Settings]) -> dict[str, dataclasses.Field[Any]]:
-    """Return the settings of an algorithm by name."""
-    return {entry.name: entry for entry in dataclasses.fields(kind)}
 
 
 def all_settings() -> dict[str, dataclasses.Field[Any]]:
     """Return the settings of all algorithms by name, each as the first one that has it says it."""
-    return {name: own for kind in reversed(ALGORITHMS.values()) for name, own in settings_of(kind).items()}
+    return {name: own for kind in reversed(ALGORITHMS.values()) for name, own in options_of(kind).items()}
 
 
 def preset(name: str, algorithm: str) -> dict[str, Any]:
@@ -248,15 +242,15 @@ def choose(name: str, algorithm: str, given: Mapping[str, Any]) -> Settings:
     return restore(ALGORITHMS[algorithm], divided(preset(name, algorithm))[1] | dict(given))
 
 
-def restore(kind: type[RECORDED], values: Mapping[str, Any]) -> RECORDED:
+def restore(kind: type[Settings], values: Mapping[str, Any]) -> Settings:
     """Return settings from plain values, checked.
 
     Raises:
         ValueError: A setting does not belong to the algorithm, is out of its range or does not fit to others.
     """
-    known = settings_of(kind)
+    known = options_of(kind)
     for name in (name for name in values if name not in known):
-        owners = " and ".join(owner for owner, own in ALGORITHMS.items() if name in settings_of(own))
+        owners = " and ".join(owner for owner, own in ALGORITHMS.items() if name in options_of(own))
         there = f"it belongs to {owners}" if owners else f"available: {', '.join(sorted(known))}"
         raise ValueError(f"{kind.algorithm} has no setting {flag(name)}; {there}")
     settings = kind(**{name: checked(known[name], value, flag(name)) for name, value in values.items()})

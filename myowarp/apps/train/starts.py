@@ -16,7 +16,7 @@ import torch
 
 from myowarp.apps.train.arrays import Arrays, put, taken
 from myowarp.bridge_gym import MyoWarpVectorEnv
-from myowarp.sim.state import KEYS, State
+from myowarp.sim.state import State, without_keys
 
 EVERY = 10  # control steps from one note to the next
 KEPT = 4096  # states to start from, the newest in place of the oldest
@@ -42,7 +42,7 @@ class Backplay:
             share: Of the episodes that start in a kept state, as soon as there is one.
         """
         self._share, self._task, self._next, self.filled = share, env.sim.scene.spec.key, 0, 0
-        now, longest = without_keys(env.get_state()), env.sim.horizon // EVERY + 1
+        now, longest = without_keys(env.get_state()).arrays, env.sim.horizon // EVERY + 1
         self.kept = {name: np.zeros((KEPT, *rows.shape[1:]), rows.dtype) for name, rows in now.items()}
         self.notes = {
             NOTES + name: np.zeros((len(rows), longest, *rows.shape[1:]), rows.dtype)
@@ -57,7 +57,7 @@ class Backplay:
             self.keep(world)
         due = (length % EVERY == 0) & ~success & ~ended
         if due.any():
-            for name, rows in without_keys(env.get_state()).items():
+            for name, rows in without_keys(env.get_state()).arrays.items():
                 self.notes[NOTES + name][np.flatnonzero(due), number[due]] = rows[due]
             number[due] += 1
         length[ended] = number[ended] = 0
@@ -96,8 +96,3 @@ class Backplay:
     def _filled(self) -> Arrays:
         """Return the rows that hold a state, as a checkpoint names them."""
         return {KEEPS + name: rows[: self.filled] for name, rows in self.kept.items()}
-
-
-def without_keys(state: State) -> Arrays:
-    """Return the arrays of a state but for random numbers to come: each episode has its own."""
-    return {name: array for name, array in state.arrays.items() if not name.startswith(KEYS)}

@@ -17,10 +17,10 @@ import torch
 
 from myowarp.apps.train import bonus
 from myowarp.apps.train.arrays import Arrays, below, put, taken
-from myowarp.apps.train.starts import Backplay, without_keys
+from myowarp.apps.train.starts import Backplay
 from myowarp.apps.train.tally import Tally
 from myowarp.bridge_gym import MyoWarpVectorEnv
-from myowarp.sim.state import State
+from myowarp.sim.state import State, without_keys
 
 FAULTY_STEPS = 50
 """Control steps in a row in which every world has a fault, after which none will ever be without."""
@@ -110,7 +110,7 @@ class Worlds:
         if start is not None:
             rows = (env.sim.scene.worlds.offset + np.arange(env.num_envs)) % len(start)
             # Each episode has random numbers of its own, and draws its patients and noise anew.
-            self._start = State(start.task, without_keys(start[rows]))
+            self._start = without_keys(start[rows])
             obs = env.set_state(self._start, conditions=False)
         self.backplay = Backplay(env, start_share) if start_share else None
         self.obs = obs.clone()
@@ -154,8 +154,8 @@ class Worlds:
         with self._simulating():
             others = rows.cpu().numpy()
             put(self._own(), {name: values[others] for name, values in taken(self._own()).items()})
-            state = self.env.get_state()[others]
-            self.obs.copy_(self.env.set_state(State(state.task, without_keys(state)), conditions=False))
+            state = without_keys(self.env.get_state()[others])
+            self.obs.copy_(self.env.set_state(state, conditions=False))
 
     def move(self, env: MyoWarpVectorEnv) -> None:
         """Let the worlds go on, as they are, in another environment of the task; the one before is closed."""
@@ -171,7 +171,7 @@ class Worlds:
 
     def arrays(self) -> Arrays:
         """Return what belongs to no world: episodes that ended, and states to start from."""
-        return self.tally.arrays() | (self.backplay.arrays() if self.backplay else {})
+        return taken(self.tally.ended) | (self.backplay.arrays() if self.backplay else {})
 
     def restore(self, arrays: Mapping[str, np.ndarray], steps: int, clock: Mapping[str, float]) -> None:
         """Put the worlds back, with what `rows` and `arrays` returned.
@@ -182,7 +182,7 @@ class Worlds:
         """
         self.env.set_state(State(self.env.sim.scene.spec.key, below(arrays, "world.")))
         put(self._own(), arrays)
-        self.tally.restore(arrays)
+        self.tally.ended = taken({name: arrays[name] for name in self.tally.ended})
         if self.backplay:
             self.backplay.restore(arrays)
         self.steps, self.clock = steps, Clock(**{name: clock[name] for name in vars(Clock())})

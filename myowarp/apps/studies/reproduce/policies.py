@@ -18,7 +18,7 @@ from typing import Any
 from rich.console import Console
 
 from myowarp.apps.policies.baselines import PREFIX, baseline_folder
-from myowarp.apps.policies.checkpoint import Checkpoint, CheckpointError, load_checkpoint
+from myowarp.apps.policies.checkpoint import Checkpoint, CheckpointError, load_checkpoint, occupied
 from myowarp.definitions.condition import Condition
 from myowarp.definitions.setup import Setup
 
@@ -95,7 +95,7 @@ def retrained(training: Training, setup: Setup, folder: Path, console: Console, 
         ValueError: The folder holds another run, or another process trains in it.
         ImportError: torch is not installed.
     """
-    from myowarp.apps.train.plan import Job, check_packages, occupied
+    from myowarp.apps.train.plan import Job, check_packages
     from myowarp.apps.train.run import STOPPED, train
     from myowarp.apps.train.settings import TRAINING, choose, divided, preset
     from myowarp.definitions.task import TASKS, TaskSpec
