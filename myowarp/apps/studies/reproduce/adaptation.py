@@ -94,7 +94,7 @@ TAUGHT: dict[Case, dict[str, Any]] = {
     }
 }
 """Settings of cases in which DAgger imitates a teacher who is told of the change."""
-REMEMBERED = {"observe": ("history=2",)}
+REMEMBERED = {"observe": ("history=1",)}
 """Instead of a recurrent unit, which DAgger does not train."""
 CLAIMS = {BLIND: "trained", TOLD: TOLD, MEMORY: MEMORY}
 """Claims about the gain of a kind over the next worse one."""
