@@ -124,6 +124,10 @@ def acting(policy: Policy, sim: Simulation) -> Act:
         if "begins" in names:
             senses["begins"] = partial(begins, sim)
         if "told" in names:
+            if not scene.parameters:
+                raise ValueError(
+                    f"policy {policy.name!r} needs conditions, whose parameters it is told; got none"
+                )
             senses["told"] = Parameters(sim)
 
         def guarded(obs: np.ndarray) -> np.ndarray:
