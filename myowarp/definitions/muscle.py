@@ -317,7 +317,7 @@ def muscle_index(muscle: str, names: Sequence[str]) -> int:
     for name in (muscle, f"{muscle}_r"):
         if name in names:
             return list(names).index(name)
-    hint = did_you_mean(muscle, names, cutoff=0.4) or f"available: {', '.join(names)}"
+    hint = did_you_mean(muscle, names, cutoff=0.4) or f"available: {', '.join(names) or 'none'}"
     raise ValueError(f"muscle {muscle!r} unknown; {hint}")
 
 

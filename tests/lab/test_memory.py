@@ -114,5 +114,8 @@ def test_a_function_is_told_without_observing(tmp_path):
         for sim in (plain, observing):
             sim.step()
     assert np.abs(seen[-1] - seen[0]).min() > 0.3
-    with pytest.raises(ValueError, match="needs conditions, which have them; got none"):
+    with pytest.raises(ValueError, match="act' needs conditions, whose parameters it is told; got none"):
         acting(find_policy(name, TASKS[TASK]), simulation(conditions=()))
+    page = Simulation(TASKS[TASK], 2, conditions=CONDITIONS, device="cpu", progress=False, adjustable=True)
+    with pytest.raises(ValueError, match="cannot act where all can be changed, as in myowarp view"):
+        acting(find_policy(name, TASKS[TASK]), page)

@@ -60,25 +60,34 @@ def test_before_reafferentation():
 
 
 @pytest.mark.parametrize(
+    "pairs",
+    [(), 5, (5,), "FPL", ("FPL", "EPL"), (("FPL", "EPL", "APL"),), (("FPL", 3),), {"FPL": "EPL"}, ("ab",)],
+)
+def test_no_pairs(pairs):
+    message = f"nerve_crossing needs pairs of muscles such as [('FDP2', 'EDC2')], got {pairs!r}"
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+        NerveCrossing(pairs=pairs)
+
+
+@pytest.mark.parametrize(
     ("key", "condition", "message"),
     [
         (
             HAND,
-            NerveCrossing(pairs=()),
-            "nerve_crossing needs pairs of muscles such as ('FDP2', 'EDC2'), got ()",
-        ),
-        (HAND, NerveCrossing(pairs=("FPL", "EPL")), "nerve_crossing needs pairs of muscles such as"),
-        (
-            HAND,
-            NerveCrossing(pairs=(("FPL", "EPL", "APL"),)),
-            "nerve_crossing needs pairs of muscles such as",
+            'nerve_crossing(pairs=(("FPL", "FPL_r"),))',
+            "nerve_crossing needs pairs of different muscles, got 'FPL_r' twice",
         ),
         (
             HAND,
-            NerveCrossing(pairs=(("FPL", "EPL"), ("EPL", "APL"))),
-            "nerve_crossing needs pairs of different muscles, got 'EPL' twice",
+            NerveCrossing(pairs=(("FPL", "EPL"), ("FPL_r", "APL"))),
+            "nerve_crossing needs pairs of different muscles, got 'FPL_r' twice",
         ),
         (HAND, NerveCrossing(pairs=(("FPL", "EPX"),)), "muscle 'EPX' unknown; did you mean"),
+        (
+            "motorFingerReachFixed-v0",
+            NerveCrossing(pairs=[("dflx", "extn")]),
+            "muscle 'dflx' unknown; available: none",
+        ),
         (HAND, NerveCrossing(1.1), "nerve_crossing affected must be in 0..1, got 1.1"),
         (
             "myoTorsoPoseFixed-v0",

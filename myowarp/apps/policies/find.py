@@ -124,6 +124,15 @@ def acting(policy: Policy, sim: Simulation) -> Act:
         if "begins" in names:
             senses["begins"] = partial(begins, sim)
         if "told" in names:
+            if not scene.parameters:
+                raise ValueError(
+                    f"policy {policy.name!r} needs conditions, whose parameters it is told; got none"
+                )
+            if scene.parameters[0].worlds.adjustable:  # what it is told would be of all conditions there are
+                raise ValueError(
+                    f"policy {policy.name!r} is told the parameters of chosen conditions, and cannot act "
+                    "where all can be changed, as in myowarp view"
+                )
             senses["told"] = Parameters(sim)
 
         def guarded(obs: np.ndarray) -> np.ndarray:

@@ -12,8 +12,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
 import warp as wp
 
 from myowarp.definitions.body import fact_for
@@ -21,6 +22,7 @@ from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Phase
 from myowarp.definitions.muscle import muscle_index
 from myowarp.definitions.parameter import Clock, Curve, Parameter, Value
 from myowarp.kernels.launch import launch
+from myowarp.models.conditions.tendon_tear import muscle_names
 from myowarp.models.conditions.tendon_transfer import affected_parameter, is_affected
 
 if TYPE_CHECKING:
@@ -47,39 +49,55 @@ class NerveCrossing(Condition):
     affected: Value = 1.0
     pairs: Sequence[Sequence[str]] | None = None
 
-    def check(self, spec: TaskSpec) -> None:
-        """Raise ValueError if pairs are no pairs, or none are named and the body has none."""
-        self.pairs_in(spec.body)
+    def __post_init__(self) -> None:
+        """Check what does not depend on the body."""
+        if self.pairs is not None and not _are_pairs(self.pairs):
+            raise ValueError(
+                f"nerve_crossing needs pairs of muscles such as [('FDP2', 'EDC2')], got {self.pairs!r}"
+            )
 
-    def pairs_in(self, body: str) -> list[tuple[str, str]]:
-        """Return the pairs in a body.
+    def check(self, spec: TaskSpec) -> None:
+        """Raise ValueError if the body lacks a muscle of a pair, or none are named and it has none."""
+        self.indices(spec.body, muscle_names(spec.body))
+
+    def indices(self, body: str, names: Sequence[str]) -> list[list[int]]:
+        """Return which of the muscles of a body, called `names`, are crossed, shape (num_pairs, 2).
 
         Raises:
-            ValueError: There are none, or a muscle is named twice.
+            ValueError: A muscle is unknown or in the pairs twice, or there are no pairs.
         """
-        chosen = self.pairs
-        if chosen is None:
-            chosen = fact_for("cross nerves without pairs of muscles", body, "antagonists")
-        pairs = [tuple(pair) for pair in chosen if not isinstance(pair, str)]
-        names = [name for pair in pairs for name in pair]
-        if not pairs or len(pairs) != len(chosen) or any(len(pair) != 2 for pair in pairs):
+        pairs = self.pairs
+        if pairs is None:
+            pairs = fact_for("cross nerves without pairs of muscles", body, "antagonists")
+        found = [[muscle_index(name, names) for name in pair] for pair in pairs]
+        muscles = [muscle for pair in found for muscle in pair]
+        if twice := [muscle for muscle in muscles if muscles.count(muscle) > 1]:
             raise ValueError(
-                f"nerve_crossing needs pairs of muscles such as ('FDP2', 'EDC2'), got {chosen!r}"
+                f"nerve_crossing needs pairs of different muscles, got {names[twice[0]]!r} twice"
             )
-        if twice := [name for name in names if names.count(name) > 1]:
-            raise ValueError(f"nerve_crossing needs pairs of different muscles, got {twice[0]!r} twice")
-        return pairs
+        return found
 
     def bind(self, scene: Scene, clock: Clock) -> NerveCrossingEffect:
         """Find the muscles."""
         muscles = scene.muscles
-        pairs = [
-            [int(muscles.actuator_id[muscle_index(name, muscles.names)]) for name in pair]
-            for pair in self.pairs_in(scene.spec.body)
-        ]
+        pairs = muscles.actuator_id[self.indices(scene.spec.body, muscles.names)]
         return NerveCrossingEffect(
             scene, clock, pairs, affected_parameter("nerve_crossing", self.affected, scene)
         )
+
+
+def _are_pairs(found: Any) -> bool:
+    """Whether something is a sequence of pairs of names, at least one."""
+    return bool(
+        _several(found)
+        and found
+        and all(_several(pair) and len(pair) == 2 for pair in found)
+        and all(isinstance(name, str) for pair in found for name in pair)
+    )
+
+
+def _several(found: Any) -> bool:
+    return isinstance(found, Sequence) and not isinstance(found, str)
 
 
 @wp.kernel(enable_backward=False)
@@ -110,9 +128,7 @@ class NerveCrossingEffect(Effect):
         pairs: Actuators that exchange their commands, shape (num_pairs, 2).
     """
 
-    def __init__(
-        self, scene: Scene, clock: Clock, pairs: Sequence[Sequence[int]], parameter: Parameter
-    ) -> None:
+    def __init__(self, scene: Scene, clock: Clock, pairs: np.ndarray, parameter: Parameter) -> None:
         self.scene, self.clock, self.parameter, self.drawn = scene, clock, parameter, (parameter,)
         self.pairs = wp.array(pairs, dtype=int)
 

@@ -65,11 +65,11 @@ class TendonTear(Condition):
     @classmethod
     def neutral(cls, spec: TaskSpec) -> TendonTear:
         """Return one of all muscles."""
-        return cls(_muscle_names(spec.body), transmission=1.0)
+        return cls(muscle_names(spec.body), transmission=1.0)
 
     def check(self, spec: TaskSpec) -> None:
         """Raise ValueError if the body lacks a muscle."""
-        self.indices(spec.body, _muscle_names(spec.body))
+        self.indices(spec.body, muscle_names(spec.body))
 
     def indices(self, body: str, names: Sequence[str]) -> list[int]:
         """Return which of the muscles of a body, called `names`, tear.
@@ -98,7 +98,7 @@ class TendonTear(Condition):
 
 
 @lru_cache
-def _muscle_names(body: str) -> tuple[str, ...]:
+def muscle_names(body: str) -> tuple[str, ...]:
     """Return the names of the muscles of a body."""
     actuators = BODIES[body].build().actuators
     return tuple(a.name for a in actuators if a.dyntype == mujoco.mjtDyn.mjDYN_MUSCLE)
