@@ -14,11 +14,11 @@ SEEDS = np.array([5, 5])
 
 
 def steps(sim, signals):
-    """Return muscle signals over time, (T, 2, num_muscles) each: effort, then rest."""
-    rows = []
+    """Return muscle signals over time, (T, 2, num_muscles) each: effort, not that of all alike, then rest."""
+    rows, effort = [], np.float32([0.6 if i % 4 == 0 else 1.0 for i in range(sim.action.shape[1])])
     for step in range(STEPS):
-        level = 1.0 if step < STEPS // 2 else -1.0
-        sim.action.assign(np.full(sim.action.shape, level, dtype=np.float32))
+        level = effort if step < STEPS // 2 else -np.ones_like(effort)
+        sim.action.assign(np.tile(level, (2, 1)))
         sim.step()
         muscles = signals.muscles
         shown = (
