@@ -14,8 +14,9 @@ from thrown import AHEAD, HOPPER, thrown
 
 import myowarp
 from myowarp.apps.cli.eval import print_table
+from myowarp.apps.policies.baselines import baseline_folder
 from myowarp.apps.policies.find import find_policy
-from myowarp.apps.reports.evaluation import evaluate
+from myowarp.apps.reports.evaluation import evaluate, evaluate_policy, plan_evaluation
 from myowarp.apps.reports.intervals import wilson
 from myowarp.apps.rollouts.episodes import Episodes, are_one
 from myowarp.apps.rollouts.rollout import roll_out
@@ -240,6 +241,15 @@ def test_a_page_takes_the_actions_that_an_environment_takes(actions, got):
     else:
         session.step()
         assert (session.sim.action.numpy() == 1.0).all()
+
+
+def test_drawn_actions_are_never_one_episode(monkeypatch):
+    """However little their returns differ: here by less than what counts as the same."""
+    monkeypatch.setattr("myowarp.apps.rollouts.episodes.SAME_EPISODES", 1.0)
+    job = plan_evaluation(baseline_folder("myoFingerReachFixed-v0"), episodes=8, device="cpu")
+    _, figures = evaluate_policy(job)
+    assert figures["deterministic"]["one_episode"]
+    assert not figures["sampled"]["one_episode"]
 
 
 def test_eval_prints_rules_units_and_one_episode(capsys, monkeypatch):

@@ -292,6 +292,8 @@ def evaluate_policy(job: EvaluationJob) -> tuple[dict[str, Any], dict[str, dict[
         for mode in job.modes:
             act = Bound(checkpoint, sim, setup if mode == "sampled" else None)
             figures = evaluate(sim, act, signals=signals, title=mode, console=console, ranks=ranks)
+            if mode == "sampled":  # drawn actions differ, however little comes of it
+                figures = replace(figures, one_episode=False)
             results[mode] = dataclasses.asdict(figures)
         sim.close()
     head: dict[str, Any] = {
