@@ -6,6 +6,7 @@ Tasks, conditions and signals name no muscle, joint or bone of a certain body: t
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -145,6 +146,12 @@ class Body:
         said = inspect.getdoc(self.build) if inspect.isfunction(self.build) else None
         sentence = " ".join((said or "").split("\n\n")[0].split())
         return sentence.removeprefix("Return the ").removeprefix("Return ")
+
+    @cached_property
+    def muscle_names(self) -> tuple[str, ...]:
+        """Names of the muscles of its full model, with their side suffixes."""
+        actuators = self.build().actuators
+        return tuple(a.name for a in actuators if a.dyntype == mujoco.mjtDyn.mjDYN_MUSCLE)
 
     def group_of(self, muscle: str) -> str:
         """Return the group of a muscle, with or without the side suffix `_r`; "" where none is known."""

@@ -17,12 +17,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import warp as wp
 
-from myowarp.definitions.body import fact_for
+from myowarp.definitions.body import BODIES, fact_for
 from myowarp.definitions.condition import CONDITIONS, Condition, Effect, Phase
 from myowarp.definitions.muscle import muscle_index
 from myowarp.definitions.parameter import Clock, Curve, Parameter, Value
 from myowarp.kernels.launch import launch
-from myowarp.models.conditions.tendon_tear import muscle_names
 from myowarp.models.conditions.tendon_transfer import affected_parameter, is_affected
 
 if TYPE_CHECKING:
@@ -58,7 +57,7 @@ class NerveCrossing(Condition):
 
     def check(self, spec: TaskSpec) -> None:
         """Raise ValueError if the body lacks a muscle of a pair, or none are named and it has none."""
-        self.indices(spec.body, muscle_names(spec.body))
+        self.indices(spec.body, BODIES[spec.body].muscle_names)
 
     def indices(self, body: str, names: Sequence[str]) -> list[list[int]]:
         """Return which of the muscles of a body, called `names`, are crossed, shape (num_pairs, 2).

@@ -10,10 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING, ClassVar
 
-import mujoco
 import warp as wp
 
 from myowarp.definitions.body import BODIES
@@ -65,11 +63,11 @@ class TendonTear(Condition):
     @classmethod
     def neutral(cls, spec: TaskSpec) -> TendonTear:
         """Return one of all muscles."""
-        return cls(muscle_names(spec.body), transmission=1.0)
+        return cls(BODIES[spec.body].muscle_names, transmission=1.0)
 
     def check(self, spec: TaskSpec) -> None:
         """Raise ValueError if the body lacks a muscle."""
-        self.indices(spec.body, muscle_names(spec.body))
+        self.indices(spec.body, BODIES[spec.body].muscle_names)
 
     def indices(self, body: str, names: Sequence[str]) -> list[int]:
         """Return which of the muscles of a body, called `names`, tear.
@@ -95,13 +93,6 @@ class TendonTear(Condition):
 
         parameters = parameter("time", 0.0, float("inf")), parameter("transmission", 1.0, 1.0)
         return TendonTearEffect(scene, clock, indices, *parameters, lifelong=self.of == "life")
-
-
-@lru_cache
-def muscle_names(body: str) -> tuple[str, ...]:
-    """Return the names of the muscles of a body."""
-    actuators = BODIES[body].build().actuators
-    return tuple(a.name for a in actuators if a.dyntype == mujoco.mjtDyn.mjDYN_MUSCLE)
 
 
 @wp.struct

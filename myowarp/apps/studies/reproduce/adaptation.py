@@ -23,9 +23,7 @@ from myowarp.apps.reports.result import PERCENT, Merit
 from myowarp.apps.studies import adaptation
 from myowarp.apps.studies.reproduce.experiment import Experiment, Findings, Lab, Tick
 from myowarp.apps.studies.reproduce.policies import Training, available
-from myowarp.definitions.body import fact_for
 from myowarp.definitions.condition import Condition
-from myowarp.definitions.muscle import muscle_index
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TASKS
 from myowarp.inks import INKS
@@ -147,8 +145,7 @@ def _healthy_hand() -> tuple[LearnedPolicy, np.ndarray]:
     checkpoint = load_baseline(HAND).checkpoint
     muscles = checkpoint.manifest["contract"]["actuators"]
     order = np.arange(len(muscles))
-    for pair in fact_for("cross nerves", TASKS[HAND].body, "antagonists"):
-        one, other = (muscle_index(name, muscles) for name in pair)
+    for one, other in NerveCrossing().indices(TASKS[HAND].body, muscles):
         order[[one, other]] = other, one
     return LearnedPolicy(checkpoint), order
 
