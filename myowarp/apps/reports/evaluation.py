@@ -151,6 +151,7 @@ def evaluate(
     title: str = "Evaluating",
     console: Console | None = None,
     ranks: Ranks = ALONE,
+    drawn: bool = False,
 ) -> Evaluation:
     """Run one episode in every world.
 
@@ -161,6 +162,7 @@ def evaluate(
         title: What the progress bar says.
         console: Where it is drawn.
         ranks: This process among those that share the episodes; each gets the figures of all.
+        drawn: Whether actions are drawn, so that episodes differ, however little comes of it.
     """
     sim.reset(seeds=seeds_of(sim))
     target = get_state(sim).arrays.get("task.target")
@@ -176,7 +178,7 @@ def evaluate(
     found = {name: np.concatenate([part[name] for part in parts]) for name in own}
     figures = _figures(found, sim.scene.control_dt if len(sim.scene.muscles.names) else None)
     mass = None if signals is None else signals.body_mass
-    one_episode = are_one(sim.setup, found["length"], found["return"])
+    one_episode = not drawn and are_one(sim.setup, found["length"], found["return"])
     figures = replace(figures, one_episode=one_episode, body_mass=mass)
     return figures if reachable is None else _of_reachable(figures, found["success"], found["reachable"])
 
@@ -290,10 +292,11 @@ def evaluate_policy(job: EvaluationJob) -> tuple[dict[str, Any], dict[str, dict[
         sim = Simulation(setup, number, autoreset="same_step")
         signals = Signals(sim) if sim.scene.muscles.names else None
         for mode in job.modes:
-            act = Bound(checkpoint, sim, setup if mode == "sampled" else None)
-            figures = evaluate(sim, act, signals=signals, title=mode, console=console, ranks=ranks)
-            if mode == "sampled":  # drawn actions differ, however little comes of it
-                figures = replace(figures, one_episode=False)
+            drawn = mode == "sampled"
+            act = Bound(checkpoint, sim, setup if drawn else None)
+            figures = evaluate(
+                sim, act, signals=signals, title=mode, console=console, ranks=ranks, drawn=drawn
+            )
             results[mode] = dataclasses.asdict(figures)
         sim.close()
     head: dict[str, Any] = {
