@@ -20,7 +20,8 @@ from myowarp.apps.cli import train as command
 from myowarp.apps.cli.options import Said
 from myowarp.apps.cli.rollout import Rollout
 from myowarp.apps.policies import checkpoint as checkpoints
-from myowarp.apps.policies.checkpoint import eval_command, held, resume_command
+from myowarp.apps.policies.checkpoint import eval_command, resume_command
+from myowarp.apps.policies.run_folder import held
 from myowarp.apps.reports.evaluation import evaluate
 from myowarp.apps.reports.intervals import wilson
 from myowarp.apps.train.plan import plan

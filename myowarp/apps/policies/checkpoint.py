@@ -19,8 +19,7 @@ import os
 import platform
 import shlex
 import shutil
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
@@ -37,7 +36,7 @@ from myowarp.definitions.option import flag
 from myowarp.definitions.senses import PARAMETERS, SENSES, Told
 from myowarp.definitions.setup import Setup
 from myowarp.definitions.task import TaskSpec
-from myowarp.disk import locked, make_folder, version
+from myowarp.disk import version
 from myowarp.kernels.action import CENTER, STEEPNESS
 from myowarp.process import warn_once
 from myowarp.sim.build import oracle_model
@@ -46,7 +45,7 @@ from myowarp.tasks.setups import variant_of
 
 FORMAT = 1
 MANIFEST, POLICY, STATE = "manifest.json", "policy.safetensors", "state.safetensors"
-FOLDER, BEST, TEMPORARY, LOCK = "checkpoints", "best", ".part", ".lock"
+FOLDER, BEST, TEMPORARY = "checkpoints", "best", ".part"
 LEARNER = 2  # of which kind the arrays of a resumed run are; 1, without a number: those of skrl's agents
 ACTING = ("family", "body", "columns", "actuators", "action")  # entries of a contract that a policy needs
 PACKAGES = ("myowarp", "mujoco", "mujoco-warp", "warp-lang", "myo-sim", "numpy", "torch")
@@ -340,71 +339,6 @@ def load_checkpoint(path: Path, *, learning: bool = False) -> Checkpoint:
             raise
         return load_checkpoint(path, learning=learning)  # the run goes on, and has replaced it meanwhile
     return Checkpoint(folder, manifest, policy)
-
-
-def load_resumable(run: Path, ranks: int) -> Checkpoint:
-    """Read the last checkpoint of a run, which is to go on.
-
-    Args:
-        run: Folder of the run.
-        ranks: How many processes go on with it.
-
-    Raises:
-        CheckpointError: As of `load_checkpoint`; it holds a policy alone, is of the trainer before this one,
-            or is named in place of its run.
-        ValueError: The run began with another number of ranks.
-    """
-    checkpoint = load_checkpoint(run, learning=True)
-    manifest, before = checkpoint.manifest, checkpoint.manifest.get("ranks", 1)
-    if STATE not in manifest["files"]:
-        raise CheckpointError(f"checkpoint {str(run)!r} holds a policy alone and cannot be resumed")
-    if manifest.get("learner") != LEARNER:
-        raise CheckpointError(
-            f"run {str(run)!r} is one of the trainer before this one, and cannot go on; its policy plays, "
-            f"and a new run can start from it with --parent {run}"
-        )
-    if checkpoint.folder == run and run.absolute().parent.name == FOLDER:
-        raise CheckpointError(f"--resume {str(run)!r} is a checkpoint in a run; name the run's folder")
-    if before != ranks:
-        raise ValueError(
-            f"run {str(run)!r} goes on with the number of ranks that it began with, {before}, got {ranks}"
-        )
-    return checkpoint
-
-
-def occupied(run: Path) -> bool:
-    """Whether the folder of a run, which may not exist yet, holds anything.
-
-    Raises:
-        ValueError: Another process trains in it.
-    """
-    if (run / LOCK).exists():
-        with locked(run / LOCK, wait=False):
-            pass
-    return run.is_dir() and any(file.name != LOCK for file in run.iterdir())
-
-
-@contextmanager
-def held(run: Path, last: Checkpoint | None, command: str) -> Iterator[None]:
-    """Keep the folder of a run from all other processes during the block.
-
-    Args:
-        run: The folder; it is made if it does not exist.
-        last: Its last checkpoint when the run was planned; None: there was none.
-        command: The command that goes on with the run.
-
-    Raises:
-        ValueError: Another process holds it, or has trained in it since the run was planned.
-        OSError: It cannot be written.
-    """
-    make_folder(run)
-    with locked(run / LOCK, wait=False):
-        if last_saved(run) != (last and last.folder):
-            raise ValueError(
-                f"folder {str(run)!r} has a new checkpoint, which another process wrote just now; go "
-                f"on with {command}"
-            )
-        yield
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:

@@ -16,13 +16,12 @@ from myowarp.apps.policies.checkpoint import (
     CheckpointError,
     is_file,
     last_saved,
-    load_resumable,
-    occupied,
     resume_command,
     trained_setup,
 )
 from myowarp.apps.policies.find import find_policy
 from myowarp.apps.policies.learned import read_policy
+from myowarp.apps.policies.run_folder import load_resumable, occupied
 from myowarp.apps.rollouts.ranks import ALONE, Ranks
 from myowarp.apps.train import bonus, settings
 from myowarp.apps.train.settings import ALGORITHMS, Settings, divided

@@ -21,11 +21,11 @@ from myowarp.apps.policies.checkpoint import (
     POLICY,
     CheckpointError,
     eval_command,
-    held,
     last_saved,
     setup_entries,
     versions,
 )
+from myowarp.apps.policies.run_folder import held
 from myowarp.apps.reports.curve import draw_curve
 from myowarp.apps.reports.evaluation import SUCCESSES
 from myowarp.apps.reports.machine import Stopwatch, processor

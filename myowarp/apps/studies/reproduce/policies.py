@@ -18,7 +18,8 @@ from typing import Any
 from rich.console import Console
 
 from myowarp.apps.policies.baselines import PREFIX, baseline_folder
-from myowarp.apps.policies.checkpoint import Checkpoint, CheckpointError, load_checkpoint, occupied
+from myowarp.apps.policies.checkpoint import Checkpoint, CheckpointError, load_checkpoint
+from myowarp.apps.policies.run_folder import occupied
 from myowarp.definitions.condition import Condition
 from myowarp.definitions.setup import Setup
 
